@@ -50,7 +50,7 @@ def magnetic_field_n_ut(place: Place, date: str) -> Floats:
         raise BadParameter(
             f"height {height_m:g} m: the World Magnetic Model holds from -1 to 850 km; give the height in metres"
         )
-    field = _model(int(year)).calculate(glat=lat_deg, glon=lon_deg, alt=height_m / 1000, time=year)
+    field = _load_model(int(year)).calculate(glat=lat_deg, glon=lon_deg, alt=height_m / 1000, time=year)
     return np.array([field.y, field.x, -field.z]) / 1000.0
 
 
@@ -126,6 +126,7 @@ def geodetic(position_n_m: ArrayLike, origin: Place) -> tuple[Floats, Floats, Fl
 
 
 def _check_place(place: Place) -> Place:
+    """Return the place; raises :class:`BadParameter` for a latitude or longitude out of range."""
     lat_deg, lon_deg, height_m = place
     if not (np.isfinite(place).all() and abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
         raise BadParameter(
@@ -136,5 +137,5 @@ def _check_place(place: Place) -> Place:
 
 
 @lru_cache(maxsize=8)
-def _model(year: int) -> GeoMag:
+def _load_model(year: int) -> GeoMag:
     return GeoMag(base_year=year)

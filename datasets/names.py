@@ -10,7 +10,7 @@ and dollar signs, which matplotlib takes for mathematics.
 
 def make_printable(text: object) -> str:
     """Return a text for the terminal, on one line: a letter that is not printable is escaped, as ``\\x1b``."""
-    return "".join(letter if letter.isprintable() else _escape(letter) for letter in str(text))
+    return "".join(letter if letter.isprintable() else _escape_letter(letter) for letter in str(text))
 
 
 def make_drawable(name: object) -> str:
@@ -18,7 +18,8 @@ def make_drawable(name: object) -> str:
     return make_printable(name).replace("$", r"\$")
 
 
-def _escape(letter: str) -> str:
+def _escape_letter(letter: str) -> str:
+    """Return a letter that cannot be printed as an escape sequence; a surrogate as the byte that it stands for."""
     code = ord(letter)
     if 0xDC80 <= code <= 0xDCFF:  # a byte that is not UTF-8, as Python keeps it in names of files
         return f"\\x{code - 0xDC00:02x}"

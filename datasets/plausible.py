@@ -70,6 +70,7 @@ class UnitCheck:
                 )
 
     def _check_imu(self) -> None:
+        """Raise :class:`BadRecording` where gyro or accelerometer look like another unit, or lack gravity."""
         name, fastest = self._name, self._fastest_radps
         if fastest > FASTEST_GYRO_RADPS:
             raise BadRecording(
@@ -143,14 +144,14 @@ class _Seconds:
             rates = np.concatenate([old_rates, rates])
         over = int(np.searchsorted(t_ns, t_ns[-1] - (t_ns[-1] - self._first_ns) % int(WINDOW_S * 1e9)))
         if over:
-            self._count(t_ns[:over], vectors[:over], rates[:over])
+            self._add_seconds(t_ns[:over], vectors[:over], rates[:over])
         self._rest = t_ns[over:].copy(), vectors[over:].copy(), rates[over:].copy()
 
     def still_norm(self) -> float | None:
         """Return the mean length over the calmest second without spin; None when there is none, or no whole second."""
         if self._rest is None or self.duration_ns < WINDOW_S * 1e9:
             return None
-        self._count(*self._rest)
+        self._add_seconds(*self._rest)
         self._rest = None
         counts, sizes = np.concatenate(self._counts), np.concatenate(self._sizes)
         whole = counts >= 0.5 * np.median(counts)
@@ -160,7 +161,8 @@ class _Seconds:
         calmest = int(spreads.argmin())
         return float(sizes[calmest]) if spreads[calmest] < STILL_ACCEL_SPREAD else None
 
-    def _count(self, t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> None:
+    def _add_seconds(self, t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> None:
+        """Add mean length and relative spread of vectors (N, 3) over each whole second; rates (N, 3) show spins."""
         assert self._first_ns is not None
         seconds = (t_ns - self._first_ns) // int(WINDOW_S * 1e9)
         starts = np.flatnonzero(np.diff(seconds, prepend=-1))

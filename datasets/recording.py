@@ -104,6 +104,7 @@ class Imu(_Stamped):
     accel_b_mps2: Floats  # (N, 3) specific force: +g along the axis that points up, at rest
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording`."""
         t = check_times("imu", self.t_ns)
         gyro = check_floats("imu", "gyro_b_radps", self.gyro_b_radps, (len(t), 3))
         accel = check_floats("imu", "accel_b_mps2", self.accel_b_mps2, (len(t), 3))
@@ -136,6 +137,7 @@ class Gps(_Stamped):
     position_sd_m: Floats | None = None  # (N,) horizontal accuracy that the receiver states; NaN where it does not
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording` for a valid fix without place, or off the globe."""
         t = check_times("gps", self.t_ns)
         if self.position_sd_m is not None:
             stated = check_floats("gps", "position_sd_m", self.position_sd_m, (len(t),), finite=False)
@@ -165,6 +167,7 @@ class SpinGeometry:
     fixed_axis: bool = False  # True: a motor's shaft; the centre is at rest and the body turns about x alone
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording` for axes that are not of length 1."""
         k, m = len(self.accel_r_b_m), len(self.gyro_axis_b)
         arms = check_floats("spin.geometry", "accel_r_b_m", self.accel_r_b_m, (k, 3), finite=False)
         if np.isinf(arms).any():
@@ -192,6 +195,7 @@ class Spin(_Stamped):
     geometry: SpinGeometry
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; NaN is a lost value. Raises :class:`BadRecording`."""
         t = check_times("spin", self.t_ns)
         k, m = len(self.geometry.accel_r_b_m), len(self.geometry.gyro_axis_b)
         accel = check_floats("spin", "accel_mps2", self.accel_mps2, (len(t), k), finite=False)
@@ -210,6 +214,7 @@ class Encoder(_Stamped):
     rate_radps: Floats  # (N,)
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording`."""
         t = check_times("encoder", self.t_ns)
         angle = check_floats("encoder", "angle_rad", self.angle_rad, (len(t),))
         rate = check_floats("encoder", "rate_radps", self.rate_radps, (len(t),))
@@ -229,6 +234,7 @@ class Truth(_Stamped):
     position_n_m: Floats | None = None  # (N, 3)
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording`."""
         t = check_times("truth", self.t_ns)
         q_nb = check_quaternions("truth", "q_nb", self.q_nb, (len(t), 4))
         moving = check_bools("truth", "moving", self.moving, len(t))
@@ -247,6 +253,7 @@ class Series(_Stamped):
     labels: tuple[str, ...]  # (k,) what each column is, with its unit: "speed_mps"
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays, (N,) becomes (N, 1); raises :class:`BadRecording`."""
         t = check_times("series", self.t_ns)
         values = np.asarray(self.values, dtype=np.float64)
         values = values[:, None] if values.ndim == 1 else values
@@ -329,6 +336,7 @@ class Recording:
     extra: Mapping[str, Series] = field(default_factory=dict)  # other sensors by name; /extra/NAME in a file
 
     def __post_init__(self) -> None:
+        """Check names, streams and units; raises :class:`BadRecording`."""
         for name in self.extra:
             if not _EXTRA_NAME.fullmatch(name):
                 raise BadRecording(f"{self.name}: extra {name!r}: give a name of letters, digits and _")

@@ -37,6 +37,7 @@ class Settings:
     """
 
     def __post_init__(self) -> None:
+        """Check all values; raises :class:`BadParameter` with the allowed ones."""
         hints = get_type_hints(type(self))
         for each in fields(self):
             if each.metadata:
@@ -60,7 +61,7 @@ def choose_settings(defaults: Kind, given: Settings | Mapping[str, Any] | None, 
         raise BadParameter(f"{owner}: {kinds[0]} of {type(given).__module__} are not its settings; give its {kinds[1]}")
     for name, value in (given or {}).items():
         try:
-            defaults = _with_one(defaults, name.split("."), value)
+            defaults = _replace_one(defaults, name.split("."), value)
         except KeyError:
             raise BadParameter(f"{owner}: no setting {name!r}; {nearest(name, names_of(defaults))}") from None
         except BadParameter as error:
@@ -79,7 +80,7 @@ class Description(NamedTuple):
 
 def names_of(settings: Settings) -> list[str]:
     """Return all dotted names of a settings object, in order."""
-    return [name for name, _, _ in _leaves(settings)]
+    return [name for name, _, _ in _list_leaves(settings)]
 
 
 def describe(settings: Settings) -> list[Description]:
@@ -87,25 +88,25 @@ def describe(settings: Settings) -> list[Description]:
     return [
         Description(
             name,
-            f"{_format_readable(each, getattr(owner, each.name))} {_unit(each)}".rstrip(),
+            f"{_format_readable(each, getattr(owner, each.name))} {_find_unit(each)}".rstrip(),
             _describe_allowed(each, get_type_hints(type(owner))[each.name], _format_readable),
             each.metadata["meaning"],
         )
-        for name, each, owner in _leaves(settings)
+        for name, each, owner in _list_leaves(settings)
     ]
 
 
-def _leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Field[Any], Settings]]:
+def _list_leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Field[Any], Settings]]:
     """Yield the dotted name and field of each setting, and the object that has it."""
     for each in fields(settings):
         value = getattr(settings, each.name)
         if is_dataclass(value):
-            yield from _leaves(cast(Settings, value), f"{prefix}{each.name}.")
+            yield from _list_leaves(cast(Settings, value), f"{prefix}{each.name}.")
         else:
             yield f"{prefix}{each.name}", each, settings
 
 
-def _with_one(settings: Kind, path: list[str], value: Any) -> Kind:
+def _replace_one(settings: Kind, path: list[str], value: Any) -> Kind:
     """Return the settings with one value replaced. Raises ``KeyError`` for an unknown name, :class:`BadParameter` for
     a value that is not allowed.
     """
@@ -113,11 +114,11 @@ def _with_one(settings: Kind, path: list[str], value: Any) -> Kind:
     inner = {each.name: getattr(settings, each.name) for each in fields(settings)}[first]
     if is_dataclass(inner) != bool(rest):
         raise KeyError(first)
-    new = _with_one(cast(Settings, inner), rest, value) if rest else _from_text(settings, first, value)
+    new = _replace_one(cast(Settings, inner), rest, value) if rest else _parse_text(settings, first, value)
     return replace(settings, **{first: new})
 
 
-def _from_text(settings: Settings, name: str, value: Any) -> Any:
+def _parse_text(settings: Settings, name: str, value: Any) -> Any:
     """Return the value that a text means for this field; other values are returned unchanged."""
     hint = get_type_hints(type(settings))[name]
     if not isinstance(value, str) or get_origin(hint) is Literal:
@@ -131,6 +132,7 @@ def _from_text(settings: Settings, name: str, value: Any) -> Any:
 
 
 def _check_value(each: Field[Any], hint: Any, value: Any) -> Any:
+    """Return a value in the type of its field; raises :class:`BadParameter` where it is not allowed."""
     if get_origin(hint) is Literal:
         good = value in get_args(hint)
     elif hint is bool:
@@ -149,6 +151,7 @@ def _check_value(each: Field[Any], hint: Any, value: Any) -> Any:
 
 
 def _describe_allowed(each: Field[Any], hint: Any, shown: Callable[[Field[Any], Any], str]) -> str:
+    """Return the allowed values of a field as text: words, or a range."""
     if get_origin(hint) is Literal:
         return ", ".join(map(str, get_args(hint)))
     if hint is bool:
@@ -163,10 +166,10 @@ def _format_plain(each: Field[Any], value: Any) -> str:
 def _format_readable(each: Field[Any], value: Any) -> str:
     if isinstance(value, bool | str):
         return str(value)
-    return f"{in_degrees(value) if _unit(each) else value:g}"
+    return f"{in_degrees(value) if _find_unit(each) else value:g}"
 
 
-def _unit(each: Field[Any]) -> str:
+def _find_unit(each: Field[Any]) -> str:
     """Return the unit of an angle that tables show in degrees; other units stand in the name of the field."""
     if not each.metadata.get("in_degrees"):
         return ""

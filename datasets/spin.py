@@ -183,28 +183,30 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
     variance = np.broadcast_to(np.asarray(accel_variance_m2ps4, dtype=np.float64), (k,))
     if not (np.isfinite(variance) & (variance > 0)).all():
         raise BadParameter(f"accelerometer variances {variance.tolist()}: give positive numbers, in (m/s^2)^2")
-    transverse, known = _transverse(geometry)
+    transverse, known = _find_transverse(geometry)
     free = [term for term in TERMS if term not in known]
     if geometry.fixed_axis:
         free = [*_CENTRE, "omega_x dot", "omega_x^2"]
-    wanted = {term: _channel(geometry, variance, term, free, known) for term in ("omega_x dot", "omega_x^2")}
+    wanted = {term: _make_channel(geometry, variance, term, free, known) for term in ("omega_x dot", "omega_x^2")}
     if geometry.fixed_axis and None in wanted.values():
         free = free[len(_CENTRE) :]
-        wanted = {term: _channel(geometry, variance, term, free, known) for term in wanted}
+        wanted = {term: _make_channel(geometry, variance, term, free, known) for term in wanted}
     omega_dot, omega_squared = wanted.values()
     if omega_dot is None or omega_squared is None:
-        raise Unobservable(_what_lacks(geometry, free, known, [term for term, one in wanted.items() if one is None]))
+        raise Unobservable(
+            _say_what_lacks(geometry, free, known, [term for term, one in wanted.items() if one is None])
+        )
 
     def make_spares(term: str) -> tuple[Channel | None, ...]:  # one whose noise is infinite has no weight
         alone = [np.where(np.arange(k) == lost, np.inf, variance) for lost in range(k)]
-        return tuple(_channel(geometry, each, term, free, known) for each in alone)
+        return tuple(_make_channel(geometry, each, term, free, known) for each in alone)
 
     return SpinChannels(
         geometry=geometry,
         omega_dot=omega_dot,
         omega_squared=omega_squared,
-        omega_xy=_channel(geometry, variance, "omega_x omega_y", free, known),
-        omega_xz=_channel(geometry, variance, "omega_x omega_z", free, known),
+        omega_xy=_make_channel(geometry, variance, "omega_x omega_y", free, known),
+        omega_xz=_make_channel(geometry, variance, "omega_x omega_z", free, known),
         spare_dot=make_spares("omega_x dot"),
         spare_squared=make_spares("omega_x^2"),
         transverse=transverse,
@@ -219,8 +221,8 @@ def measure(spin: Spin, by: SpinChannels) -> SpinSamples:
     return SpinSamples(
         omega_dot_radps2=by.omega_dot.value(spin.accel_mps2, rates),
         omega_squared_radps2=by.omega_squared.value(spin.accel_mps2, rates),
-        omega_dot_valid=_valid(spin, by, by.omega_dot),
-        omega_squared_valid=_valid(spin, by, by.omega_squared),
+        omega_dot_valid=_find_valid(spin, by, by.omega_dot),
+        omega_squared_valid=_find_valid(spin, by, by.omega_squared),
     )
 
 
@@ -232,7 +234,8 @@ def find_saturated(spin: Spin) -> NDArray[np.bool_]:
     return np.asarray(np.abs(spin.accel_mps2) >= SATURATED * limits)
 
 
-def _valid(spin: Spin, by: SpinChannels, channel: Channel) -> NDArray[np.bool_]:
+def _find_valid(spin: Spin, by: SpinChannels, channel: Channel) -> NDArray[np.bool_]:
+    """Return the rows (N,) in which all sensors that the channel uses gave a value within their range."""
     used = channel.accel != 0
     good = np.isfinite(spin.accel_mps2[:, used]).all(axis=1) & ~find_saturated(spin)[:, used].any(axis=1)
     if channel.products.any():
@@ -241,7 +244,7 @@ def _valid(spin: Spin, by: SpinChannels, channel: Channel) -> NDArray[np.bool_]:
     return np.asarray(good)
 
 
-def _transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
+def _find_transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
     """Return weights (2, m) of the gyros for omega_y and omega_z, and which of PRODUCTS they determine."""
     axes = geometry.gyro_axis_b
     if geometry.fixed_axis or not len(axes):
@@ -253,7 +256,7 @@ def _transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
     return weights, tuple(known)
 
 
-def _channel(
+def _make_channel(
     geometry: SpinGeometry, variance: Floats, term: str, free: Sequence[str], known: Sequence[str]
 ) -> Channel | None:
     """Return the best linear unbiased estimate of a term; None where the accelerometers do not determine it.
@@ -276,7 +279,7 @@ def _channel(
     return Channel(term, accel, products, float(row @ row))
 
 
-def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str], terms: Sequence[str]) -> str:
+def _say_what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str], terms: Sequence[str]) -> str:
     """Return the sentence of :class:`Unobservable`: what the accelerometers cannot determine, and what to change."""
     seen = np.abs(coefficients(geometry)) > _NEGLIGIBLE
     missing = f"the accelerometers do not fix {' and '.join(terms)}"
@@ -289,7 +292,7 @@ def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str
     unknown = [one for one in _PRODUCTS if one in free and seen[:, TERMS.index(one)].any()]
     remedy = "or set fixed_axis for a motor's shaft"
     others = [one for one in free if one not in _PRODUCTS]
-    are_enough = all(_channel(geometry, np.ones(len(seen)), term, others, _PRODUCTS) for term in terms)
+    are_enough = all(_make_channel(geometry, np.ones(len(seen)), term, others, _PRODUCTS) for term in terms)
     if unknown and (are_enough or not known):
         lacking = [axis for axis in "yz" if f"omega_{axis}^2" not in known]
         gyros = "gyros about y and z" if len(lacking) == 2 else f"a gyro about {lacking[0]}"

@@ -85,6 +85,7 @@ class Reference:
     made_from: Mapping[str, str] = field(default_factory=dict)  # file name -> sha256
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording` for a variance that is not positive."""
         t = check_times("reference", self.t_ns)
         q_nb = check_quaternions("reference", "q_nb", self.q_nb, (len(t), 4))
         cov = check_floats("reference", "cov_b_rad2", self.cov_b_rad2, (len(t), 3, 3))
@@ -108,6 +109,7 @@ class Reference:
             freeze(self, **{name: array})
 
     def __repr__(self) -> str:
+        """Return stamps, stated accuracy and returns in one line."""
         sd_deg, heading_deg = np.rad2deg([np.median(total_sd_rad(self.cov_b_rad2)), self.heading_sd_rad])
         words = f"{describe_times(self.t_ns)}; sd of the attitude {sd_deg:.2g} deg (median)"
         words += f", of the heading that all share {heading_deg:.2g} deg" if self.heading_sd_rad else ""
@@ -158,6 +160,7 @@ class SpinReference:
     made_from: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording`."""
         t = check_times("roll reference", self.t_ns)
         names = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
         columns = {name: check_floats("roll reference", name, getattr(self, name), (len(t),)) for name in names}
@@ -191,6 +194,7 @@ class Estimate:
     made_from: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Check and freeze the arrays; raises :class:`BadRecording` without attitude and angle."""
         t = check_times("estimate", self.t_ns)
         n = len(t)
         if self.q_nb is None and self.angle_rad is None:
@@ -218,6 +222,7 @@ class Estimate:
         freeze(self, t_ns=t)
 
     def __repr__(self) -> str:
+        """Return name, stamps and columns in one line."""
         names = ("q_nb", "angle_rad", "rate_radps", "cov_b_rad2", "gyro_bias_b_radps", "ready")
         columns = ", ".join(name for name in names if getattr(self, name) is not None)
         of = f" of {self.recording}" if self.recording else ""

@@ -124,31 +124,34 @@ def _fit_heading_and_mounting(blocks: Iterable[tuple[Floats, Floats]]) -> tuple[
     level, turned, upright = gram[0, :, 0] + gram[1, :, 1], gram[0, :, 1] - gram[1, :, 0], gram[2, :, 2]
     mean_up_b = up_sum / count  # of the vertical in the truth's body axes, unit vectors: their variance is 1 - |mean|^2
     if 1 - mean_up_b @ mean_up_b < _LEVEL_SPREAD_RAD**2:
-        return _smallest_mounting(_polar(upright + level), mean_up_b / np.linalg.norm(mean_up_b))
+        return _split_off_mounting(_find_nearest_rotation(upright + level), mean_up_b / np.linalg.norm(mean_up_b))
 
-    def profile(heading_rad: Floats) -> Floats:
+    def compute_profile(heading_rad: Floats) -> Floats:
+        """Return the largest trace that a mounting reaches at each heading in rad; its maximum is the best fit."""
         h = np.asarray(heading_rad)[..., None, None]
         b = upright + np.cos(h) * level + np.sin(h) * turned
         s = np.linalg.svd(b, compute_uv=False)
         return s[..., 0] + s[..., 1] + np.sign(np.linalg.det(b)) * s[..., 2]
 
     grid = np.linspace(-np.pi, np.pi, 361)
-    start = float(grid[int(np.argmax(profile(grid)))])
+    start = float(grid[int(np.argmax(compute_profile(grid)))])
     step = float(grid[1] - grid[0])
-    best = minimize_scalar(lambda h: -float(profile(h)), bounds=(start - step, start + step), options={"xatol": 1e-10})
+    best = minimize_scalar(
+        lambda h: -float(compute_profile(h)), bounds=(start - step, start + step), options={"xatol": 1e-10}
+    )
     heading_rad = float(np.angle(np.exp(1j * best.x)))
-    mounting = _polar(upright + np.cos(heading_rad) * level + np.sin(heading_rad) * turned)
+    mounting = _find_nearest_rotation(upright + np.cos(heading_rad) * level + np.sin(heading_rad) * turned)
     return heading_rad, Rotation.from_matrix(mounting)
 
 
-def _polar(b: Floats) -> Floats:
+def _find_nearest_rotation(b: Floats) -> Floats:
     """Return the rotation (3, 3) nearest to a matrix b (3, 3)."""
     u, _, vt = np.linalg.svd(b)
     nearest: Floats = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return nearest
 
 
-def _smallest_mounting(mounting: Floats, up_b: Floats) -> tuple[float, Rotation]:
+def _split_off_mounting(mounting: Floats, up_b: Floats) -> tuple[float, Rotation]:
     """Split a rotation M (3, 3) of a body that only turns about up_b (3,) into a heading and the smallest mounting.
 
     Heading h with mounting ``R_up(-h) M`` fits equally well for every h. ``trace(R_up(-h) M)`` is

@@ -49,7 +49,7 @@ def find_clock_offset_ns(estimated: Track, truth: Track, moving: Mask) -> int:
     """
     swap = is_sparser(estimated, truth)
     sparse, dense = (estimated, truth) if swap else (truth, estimated)
-    turns = _turns_of(sparse, dense, None if swap else moving)
+    turns = _list_turns(sparse, dense, None if swap else moving)
     if len(turns.turn) < _FEWEST_TURNS:
         raise Unobservable(
             f"{estimated.label}: overlaps the truth's motion by too little to align the clocks; align heading+mounting "
@@ -60,17 +60,18 @@ def find_clock_offset_ns(estimated: Track, truth: Track, moving: Mask) -> int:
     return -offset_ns if swap else offset_ns
 
 
-def _turns_of(sparse: Track, dense: Track, moving: Mask | None) -> _Turns:
+def _list_turns(sparse: Track, dense: Track, moving: Mask | None) -> _Turns:
+    """Return the turns of the sparser track, and the denser track to compare them with."""
     kept = ~sparse.unready if moving is None else moving & ~sparse.unready
     t_ns, q_nb = sparse.t_ns[kept], sparse.q_nb[kept]
-    first, last = _pairs(t_ns, sparse.step_ns, _TURN_S)
-    turn = _rotation_vectors(q_nb[first], q_nb[last])
+    first, last = _find_pairs(t_ns, sparse.step_ns, _TURN_S)
+    turn = _compute_rotation_vectors(q_nb[first], q_nb[last])
     pairs_ns = np.stack([t_ns[first], t_ns[last]])
-    return _Turns(dense, pairs_ns, turn, _changes(t_ns[first], turn), max(_TURN_S, sparse.step_ns / 1e9))
+    return _Turns(dense, pairs_ns, turn, _differentiate(t_ns[first], turn), max(_TURN_S, sparse.step_ns / 1e9))
 
 
-def _pairs(t_ns: Times, step_ns: float, width_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of samples about ``width_s`` apart, or one step apart where that is longer, with no gap between."""
+def _find_pairs(t_ns: Times, step_ns: float, width_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return indices of samples about ``width_s`` apart, or one step apart where that is longer, without a gap."""
     if len(t_ns) < 2:
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     width = max(round(width_s * 1e9 / step_ns), 1)
@@ -79,12 +80,12 @@ def _pairs(t_ns: Times, step_ns: float, width_s: float) -> tuple[NDArray[np.intp
     return first, first + width
 
 
-def _rotation_vectors(q_first: Floats, q_second: Floats) -> Floats:
+def _compute_rotation_vectors(q_first: Floats, q_second: Floats) -> Floats:
     """Return rotation vectors (N, 3) from one attitude to the other, in the body."""
     return np.asarray((rotation(q_first).inv() * rotation(q_second)).as_rotvec(), dtype=np.float64)
 
 
-def _changes(t_ns: Times, turn: Floats) -> Floats:
+def _differentiate(t_ns: Times, turn: Floats) -> Floats:
     """Return the time derivative (N, 3) of a series of turns; 0 beside a gap, where it has no effect."""
     change = np.zeros_like(turn)
     if len(turn) < 3:
@@ -105,7 +106,7 @@ def _find_valley(turns: _Turns, label: str) -> float:
     usual = np.linspace(-_USUAL_RANGE_S, _USUAL_RANGE_S, round(2 * _USUAL_RANGE_S / _COARSE_STEP_S) + 1)
     around = np.arange(-turns.width_s, turns.width_s + _COARSE_STEP_S / 2, _COARSE_STEP_S)
     grids = [usual, *(centre_s + around for centre_s in _correlate_rates(turns))]
-    found = [_find_lowest([_misfit(turns, some, float(offset_s)) for offset_s in grid], grid) for grid in grids]
+    found = [_find_lowest([_compute_misfit(turns, some, float(offset_s)) for offset_s in grid], grid) for grid in grids]
     near, near_s = found[0]
     best, offset_s = min(found)
     if near <= best + _TIE and abs(near_s) < _USUAL_RANGE_S - _COARSE_STEP_S / 2:
@@ -126,13 +127,13 @@ def _find_lowest(misfits: list[float], grid: Floats) -> tuple[float, float]:
     return misfits[place], float(grid[place])
 
 
-def _misfit(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> float:
+def _compute_misfit(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> float:
     """Return the share of the turning that is unexplained at an offset, infinite where hardly any turns overlap."""
-    rows, turn_e = _turns_at(turns, some, offset_s)
+    rows, turn_e = _interpolate_turns(turns, some, offset_s)
     if len(rows) < _FEWEST_TURNS:
         return np.inf
     expected = turns.turn[rows]
-    left = _mounting_of_turns(turn_e, expected)[1]
+    left = _fit_mounting(turn_e, expected)[1]
     return max(left, 0.0) * len(rows) / (float(np.sum(expected**2)) + float(np.sum(turn_e**2)) + 1e-300)
 
 
@@ -143,7 +144,7 @@ def _correlate_rates(turns: _Turns) -> Floats:
     of the motion of the shorter trajectory overlaps are left out: there a few samples agree with anything.
     """
     sparse_s, sparse = turns.pairs_ns.mean(axis=0) / 1e9, np.linalg.norm(turns.turn, axis=1)
-    dense_s, dense = _rates_of(turns.dense, turns.width_s)
+    dense_s, dense = _compute_rates(turns.dense, turns.width_s)
     if len(dense) < _FEWEST_TURNS:
         return np.empty(0)
     a_s, a, a_known = _resample_on_grid(sparse_s, sparse / (np.diff(turns.pairs_ns, axis=0)[0] / 1e9), turns.width_s)
@@ -167,12 +168,12 @@ def _correlate_rates(turns: _Turns) -> Floats:
     return np.asarray(lag * _COARSE_STEP_S + (b_s - a_s))
 
 
-def _rates_of(track: Track, width_s: float) -> tuple[Floats, Floats]:
+def _compute_rates(track: Track, width_s: float) -> tuple[Floats, Floats]:
     """Return middle times in s and rates of turning in rad/s of a trajectory, over turns of about ``width_s``."""
     t_ns, q_nb = track.t_ns[~track.unready], track.q_nb[~track.unready]
-    first, last = _pairs(t_ns, track.step_ns, width_s)
+    first, last = _find_pairs(t_ns, track.step_ns, width_s)
     duration_s = (t_ns[last] - t_ns[first]) / 1e9
-    rate = np.linalg.norm(_rotation_vectors(q_nb[first], q_nb[last]), axis=1) / duration_s
+    rate = np.linalg.norm(_compute_rotation_vectors(q_nb[first], q_nb[last]), axis=1) / duration_s
     return (t_ns[first] + t_ns[last]) / 2e9, rate
 
 
@@ -184,12 +185,12 @@ def _resample_on_grid(t_s: Floats, values: Floats, longest_s: float) -> tuple[fl
     return float(t_s[0]), np.interp(grid, t_s, values) * known, known
 
 
-def _turns_at(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> tuple[NDArray[np.intp], Floats]:
+def _interpolate_turns(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> tuple[NDArray[np.intp], Floats]:
     """Return which of the turns the dense trajectory covers at an offset, and its own turns (M, 3) there."""
     first_ns, last_ns = turns.pairs_ns[:, some] + round(offset_s * 1e9)
     found = np.flatnonzero(match(turns.dense, first_ns).found & match(turns.dense, last_ns).found)
     q_first, q_last = attitude_at(turns.dense, first_ns[found]), attitude_at(turns.dense, last_ns[found])
-    return some[found], _rotation_vectors(q_first, q_last)
+    return some[found], _compute_rotation_vectors(q_first, q_last)
 
 
 def _choose_evenly(n: int, most: int) -> NDArray[np.intp]:
@@ -197,7 +198,7 @@ def _choose_evenly(n: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
 
-def _mounting_of_turns(turn_e: Floats, turn_b: Floats) -> tuple[Floats, float]:
+def _fit_mounting(turn_e: Floats, turn_b: Floats) -> tuple[Floats, float]:
     """Return the matrix M with ``turn_e ~ M' turn_b`` (Kabsch), and the mean square of what is left."""
     u, s, vt = np.linalg.svd(turn_b.T @ turn_e)
     sign = np.sign(np.linalg.det(u @ vt))
@@ -211,23 +212,23 @@ def _descend(turns: _Turns, start_s: float) -> float:
     bounds = start_s - _COARSE_STEP_S, start_s + _COARSE_STEP_S
     offset_s = start_s
     for _ in range(_FINE_STEPS):
-        closer_s = float(np.clip(offset_s + _clock_step(turns, some, offset_s), *bounds))
+        closer_s = float(np.clip(offset_s + _compute_clock_step(turns, some, offset_s), *bounds))
         moved_s, offset_s = abs(closer_s - offset_s), closer_s
         if moved_s < _FINE_ENOUGH_S:
             break
     return offset_s
 
 
-def _clock_step(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> float:
+def _compute_clock_step(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> float:
     """Return the change of the offset that leaves no error along the sparse turns' own change, with the mounting.
 
     The least misfit would lie half a sample aside, as interpolation between two samples averages their noise; the
     change of the turns that are not interpolated has no part in that noise.
     """
-    rows, turn_e = _turns_at(turns, some, offset_s)
+    rows, turn_e = _interpolate_turns(turns, some, offset_s)
     if len(rows) < 2:
         return 0.0
-    mounting, _ = _mounting_of_turns(turn_e, turns.turn[rows])
+    mounting, _ = _fit_mounting(turn_e, turns.turn[rows])
     expected, change = turns.turn[rows] @ mounting, turns.change[rows] @ mounting
     counts = np.any(change != 0, axis=1)
     expected, change, left = expected[counts], change[counts], (turn_e - expected)[counts]

@@ -50,7 +50,7 @@ def compare(
     pairs, alignment = pair_and_align(source, judge, counted, align)
     cov = pairs.cov_b_rad2
     if cov is not None and isinstance(estimated, Reference):
-        cov = cov + _shared_covariance(estimated, pairs.q_est, align)
+        cov = cov + _make_shared_covariance(estimated, pairs.q_est, align)
     matched = match(source, truth.t_ns[counted] + alignment.time_offset_ns)
     return Comparison(
         estimated=name_of(estimated),
@@ -70,7 +70,7 @@ def compare(
     )
 
 
-def _heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
+def _make_heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
     """Return the covariance (N, 3, 3) in body axes, at attitudes (N, 4), of a heading error that all samples share.
 
     It counts where no heading was aligned away; ``Reference.cov_b_rad2`` is relative to the mean heading.
@@ -79,13 +79,13 @@ def _heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
     return heading_sd_rad**2 * up_b[:, :, None] * up_b[:, None, :]
 
 
-def _shared_covariance(reference: Reference, q_nb: Floats, align: AlignKind) -> Floats:
+def _make_shared_covariance(reference: Reference, q_nb: Floats, align: AlignKind) -> Floats:
     """Return the covariance (N, 3, 3), at attitudes (N, 4), of the shared errors that were not aligned away."""
     cov = np.zeros((len(q_nb), 3, 3))
     if "mounting" not in align:
         cov += reference.mounting_cov_b_rad2
     if align == "none":
-        cov += _heading_covariance(q_nb, reference.heading_sd_rad)
+        cov += _make_heading_covariance(q_nb, reference.heading_sd_rad)
     return cov
 
 

@@ -26,14 +26,14 @@ class AttitudeError:
     inclination_rad: Floats  # (N,) 2 acos sqrt(w^2 + z^2)
 
 
-def _error_quaternion(q_est: Floats, q_true: Floats) -> Floats:
+def _compute_error_quaternion(q_est: Floats, q_true: Floats) -> Floats:
     """Return the earth-frame error e in ``q_est = e * q_true``, (N, 4) with w >= 0."""
     return quaternion(rotation(q_est) * rotation(q_true).inv())
 
 
 def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
     """Return total, heading and inclination error, each in [0, pi]; arctangents keep errors of 1e-9 rad exact."""
-    w, x, y, z = _error_quaternion(q_est, q_true).T
+    w, x, y, z = _compute_error_quaternion(q_est, q_true).T
     return AttitudeError(
         total_rad=2 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)),
         heading_rad=2 * np.arctan2(np.abs(z), np.abs(w)),
@@ -43,7 +43,7 @@ def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
 
 def heading_offset(q_est: Floats, q_true: Floats) -> Floats:
     """Return the signed heading error (N,) in (-pi, pi], positive when the estimate is turned counter-clockwise."""
-    w, _, _, z = _error_quaternion(q_est, q_true).T
+    w, _, _, z = _compute_error_quaternion(q_est, q_true).T
     return wrap(2 * np.arctan2(z, w))
 
 

@@ -101,7 +101,7 @@ def match(source: Track, at_ns: Times) -> Match:
     """Find which of the times ``at_ns`` (M,) lie between two near samples of the track that are both ready."""
     t = source.t_ns
     outside = (at_ns < source.span_ns[0]) | (at_ns > source.span_ns[1])
-    left, right = _neighbours(t, at_ns)
+    left, right = _find_neighbours(t, at_ns)
     in_gap = ~outside & (t[right] - t[left] > source.longest_step_ns)
     unready = ~outside & ~in_gap & (source.unready[left] | source.unready[right])
     return Match(outside, in_gap, unready)
@@ -148,7 +148,7 @@ def pair_up(estimated: Track, truth: Track, moving: Mask, offset_ns: int = 0) ->
     kept = match(truth, at_ns).found & ~estimated.unready
     at_ns = at_ns[kept]
     cov = None if estimated.cov_b_rad2 is None else estimated.cov_b_rad2[kept]
-    left, right = _neighbours(truth.t_ns, at_ns)
+    left, right = _find_neighbours(truth.t_ns, at_ns)
     q_true, true_cov = attitude_at(truth, at_ns), covariance_at(truth, at_ns)
     return Pairs(at_ns, estimated.q_nb[kept], q_true, cov, true_cov, moving[left] & moving[right])
 
@@ -162,14 +162,14 @@ def covariance_at(source: Track, at_ns: Times) -> Floats | None:
     """Return covariances (M, 3, 3), linear between neighbours (so positive definite); None where there are none."""
     if source.cov_b_rad2 is None:
         return None
-    left, right = _neighbours(source.t_ns, at_ns)
+    left, right = _find_neighbours(source.t_ns, at_ns)
     step = np.maximum(source.t_ns[right] - source.t_ns[left], 1)
     share = ((at_ns - source.t_ns[left]) / step)[:, None, None]
     return source.cov_b_rad2[left] * (1 - share) + source.cov_b_rad2[right] * share
 
 
-def _neighbours(t_ns: Times, at_ns: Times) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the samples at or before, and at or after, each time; the same one where a sample is hit exactly."""
+def _find_neighbours(t_ns: Times, at_ns: Times) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the samples at or before, and at or after, each time; an exact hit gives the same one twice."""
     left = np.clip(np.searchsorted(t_ns, at_ns, side="right") - 1, 0, len(t_ns) - 1)
     right = np.clip(np.searchsorted(t_ns, at_ns, side="left"), 0, len(t_ns) - 1)
     return left, right

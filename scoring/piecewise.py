@@ -73,7 +73,7 @@ def score_pieces(
         "samples_unready": unready,
         "moving_share": judge.moving / judge.count,
     }
-    return score_blocks((_align(rows, alignment) for rows in pairs), count, alignment, frame, facts, new_store)
+    return score_blocks((_align_rows(rows, alignment) for rows in pairs), count, alignment, frame, facts, new_store)
 
 
 class _Stored:
@@ -94,13 +94,14 @@ class _Stored:
                 self.recording = piece.recording if isinstance(piece, Estimate) else ""
                 has_cov = not isinstance(piece, Truth) and piece.cov_b_rad2 is not None
             last_ns = int(piece.t_ns[-1])
-            self._keep(piece, has_cov)
+            self._append_piece(piece, has_cov)
         cov = np.empty((0, 3, 3)) if has_cov else None
         none = np.empty(0, np.int64)
         step_ns = find_quantiles(_Steps(self.store), self.count - 1, (0.5,))[0] if self.count > 1 else 0.0
         self.part = Track(label, none, np.empty((0, 4)), cov, none.astype(np.bool_), step_ns, (first_ns, last_ns))
 
-    def _keep(self, piece: Estimate | Reference | Truth, has_cov: bool) -> None:
+    def _append_piece(self, piece: Estimate | Reference | Truth, has_cov: bool) -> None:
+        """Append stamps, attitudes and masks of a piece to the store, with covariances where it has them."""
         cov = [("cov_b_rad2", np.float64, (3, 3))] if has_cov else []
         rows = np.empty(
             len(piece.t_ns), [("t_ns", np.int64), ("q_nb", np.float64, 4), ("unready", "?"), ("moving", "?"), *cov]
@@ -127,6 +128,7 @@ class _Steps:
     store: Store
 
     def __iter__(self) -> Iterator[NDArray[np.int64]]:
+        """Yield the steps between neighbouring stamps in ns, across the ends of blocks too."""
         last = np.empty(0, np.int64)
         for rows in self.store:
             t_ns = np.concatenate([last, rows["t_ns"]])
@@ -184,7 +186,9 @@ def _list_moving_pairs(source: _Stored, judge: _Stored) -> Iterator[Rows]:
             yield kept
 
 
-def _align(rows: Rows, alignment: Alignment) -> ScoredPairs:
+def _align_rows(rows: Rows, alignment: Alignment) -> ScoredPairs:
+    """Return rows of paired attitudes with the alignment applied to the estimate."""
+
     def column(name: str) -> Any:
         return np.ascontiguousarray(rows[name]) if name in (rows.dtype.names or ()) else None
 

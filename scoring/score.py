@@ -128,6 +128,7 @@ class Score:
     position: PositionScore | None = None  # where both have positions
 
     def __getattr__(self, name: str) -> float:
+        """Return a figure by its flat name, for example ``heading_rmse_deg``; raises ``AttributeError``."""
         if name not in _FLAT:
             raise AttributeError(f"Score has no figure {name!r}")
         part, figure = _FLAT[name]
@@ -257,7 +258,7 @@ class _Sampled:
         self._done = 0
 
     def add(self, pairs: ScoredPairs) -> None:
-        """Take what is wanted of the next pairs."""
+        """Keep the chosen rows of the next pairs."""
         end = self._done + len(pairs.q_est)
         rows = self._rows[(self._rows >= self._done) & (self._rows < end)] - self._done
         self._pairs.append((pairs.q_est[rows], pairs.q_true[rows]))

@@ -56,6 +56,7 @@ def _make_title(score: "Score") -> str:
 
 
 def _make_footer(score: "Score") -> str:
+    """Return samples, alignment and consistency of a score in one line."""
     parts = [f"{score.samples} samples, aligned by {score.alignment.kind}", f"Euler angles {score.frame.upper()}"]
     if score.reference_sd_deg is not None:
         parts.append(f"the reference's own sd is {score.reference_sd_deg:.2f} deg")

@@ -175,8 +175,8 @@ def _read(truth: Encoder | SpinReference, t_ns: Times) -> tuple[Floats, Floats]:
 def score_spin_comparison(c: SpinComparison) -> SpinScore:
     """Compute the figures of a comparison."""
     angle_deg, rate_degps = np.rad2deg(c.angle_error_rad), np.rad2deg(c.rate_error_radps)
-    angle_nees, angle_coverage = _consistency(c.angle_error_rad, c.angle_sd_rad)
-    rate_nees, rate_coverage = _consistency(c.rate_error_radps, c.rate_sd_radps)
+    angle_nees, angle_coverage = _compute_consistency(c.angle_error_rad, c.angle_sd_rad)
+    rate_nees, rate_coverage = _compute_consistency(c.rate_error_radps, c.rate_sd_radps)
     return SpinScore(
         estimated=c.estimated,
         against=c.against,
@@ -198,12 +198,12 @@ def score_spin_comparison(c: SpinComparison) -> SpinScore:
         angle_coverage95=angle_coverage,
         rate_nees=rate_nees,
         rate_coverage95=rate_coverage,
-        reference_angle_sd_deg=_median_deg(c.true_angle_sd_rad),
-        reference_rate_sd_degps=_median_deg(c.true_rate_sd_radps),
+        reference_angle_sd_deg=_find_median_deg(c.true_angle_sd_rad),
+        reference_rate_sd_degps=_find_median_deg(c.true_rate_sd_radps),
     )
 
 
-def _consistency(error: Floats, sd: Floats | None) -> tuple[float | None, float | None]:
+def _compute_consistency(error: Floats, sd: Floats | None) -> tuple[float | None, float | None]:
     """Return NEES and 95 % coverage of the samples whose sd is above 0; an angle has none where it starts to count."""
     if sd is None or not (sd > 0).any():
         return None, None
@@ -211,7 +211,7 @@ def _consistency(error: Floats, sd: Floats | None) -> tuple[float | None, float 
     return float(np.mean(ratio**2)), float(np.mean(np.abs(ratio) <= _SD_95))
 
 
-def _median_deg(sd_rad: Floats | None) -> float | None:
+def _find_median_deg(sd_rad: Floats | None) -> float | None:
     return None if sd_rad is None else float(np.rad2deg(np.median(sd_rad)))
 
 

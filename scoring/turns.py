@@ -31,10 +31,11 @@ def turn_errors(comparison: Comparison, over_s: Sequence[float]) -> tuple[TurnEr
     Raises :class:`BadParameter` for a time that is not longer than half a step, or not finite, :class:`Unobservable`
     where no two samples are so far apart.
     """
-    return tuple(_turn_error(comparison, seconds) for seconds in over_s)
+    return tuple(_compute_turn_error(comparison, seconds) for seconds in over_s)
 
 
-def _turn_error(comparison: Comparison, seconds: float) -> TurnError:
+def _compute_turn_error(comparison: Comparison, seconds: float) -> TurnError:
+    """Return the error of turns over this time; raises :class:`Unobservable` where no two samples are so far apart."""
     if not (np.isfinite(seconds) and seconds > 0):
         raise BadParameter(f"over: {seconds:g} is no time that a turn can take; give seconds above 0")
     whose = f"{comparison.estimated} of {comparison.recording}"

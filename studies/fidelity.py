@@ -83,7 +83,7 @@ class Fidelity:
         return {**asdict(self), "judges": list(map(asdict, self.judges)), "rows": list(map(asdict, self.rows))}
 
 
-def _default_judges() -> list[str]:
+def _list_default_judges() -> list[str]:
     """Return every reference method, and every offline estimator whose package is installed."""
     return [*METHODS, *(name for name in default_estimators() if ESTIMATORS[name].offline)]
 
@@ -108,7 +108,7 @@ def measure_fidelity(
     sources = [source for source in survey_sources(files, store) if source.truth and source.error is None]
     if not sources:
         raise BadParameter("no recording has independent truth; fidelity compares with it")
-    names = list(dict.fromkeys(judges or _default_judges()))
+    names = list(dict.fromkeys(judges or _list_default_judges()))
     entrants = find_entrants(list(dict.fromkeys([*(estimators or default_estimators())])), [])
     offline = [name for name in names if name not in METHODS]
     lines = list_lines(find_entrants(list(dict.fromkeys([*(e.spelling for e in entrants), *offline])), []), [NONE])
@@ -168,12 +168,12 @@ def _measure(
 ) -> tuple[JudgeFidelity, list[JudgedTwice]]:
     """Compare the scores by one judge with those by truth; an offline estimator does not judge itself."""
     labels = [line.label for line in lines if line.entrant.target != judge]
-    rows = [_row(judge, source.recording, label, by_truth, by_judge) for source in sources for label in labels]
+    rows = [_make_row(judge, source.recording, label, by_truth, by_judge) for source in sources for label in labels]
     judged = [s for s in sources if sum(r.error is None for r in rows if r.recording == s.recording) >= 2]
     complete = [
         label for label in labels if all(r.error is None for r in rows if r.estimator == label and _is_in(r, judged))
     ]
-    concordance = [_tau_of(rows, source.recording) for source in judged]
+    concordance = [_compute_tau(rows, source.recording) for source in judged]
     taus = [net / pairs for net, pairs in concordance]
     relative = [abs(r.judge_rmse_deg / r.truth_rmse_deg - 1) for r in rows if r.judge_rmse_deg and r.truth_rmse_deg]
     verdicts = _judge_verdicts(by_truth, by_judge, judged, complete) if judged and complete else (0, 0, 0, 0)
@@ -222,12 +222,12 @@ def _split(rows: int) -> Iterator[tuple[Any, Any]]:
         yield order[: rows // 2], order[rows // 2 :]
 
 
-def _row(judge: str, recording: str, label: str, by_truth: ScoredRuns, by_judge: ScoredRuns) -> JudgedTwice:
+def _make_row(judge: str, recording: str, label: str, by_truth: ScoredRuns, by_judge: ScoredRuns) -> JudgedTwice:
     truth, other = by_truth.runs[recording, label], by_judge.runs[recording, label]
     return JudgedTwice(recording, label, judge, truth.total_rmse_deg, other.total_rmse_deg, truth.error or other.error)
 
 
-def _tau_of(rows: Sequence[JudgedTwice], recording: str) -> tuple[int, int]:
+def _compute_tau(rows: Sequence[JudgedTwice], recording: str) -> tuple[int, int]:
     mine = [row for row in rows if row.recording == recording and row.error is None]
     truth = np.array([row.truth_rmse_deg for row in mine], dtype=np.float64)
     return find_tau(truth, np.array([row.judge_rmse_deg for row in mine], dtype=np.float64))

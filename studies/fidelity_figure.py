@@ -26,6 +26,7 @@ def draw_fidelity(fidelity: Fidelity) -> Figure:
 
 
 def _draw_judge(ax: Axes, fidelity: Fidelity, judge: JudgeFidelity, estimators: list[str]) -> None:
+    """Draw the RMSE by a judge over that by the truth, one point per recording and estimator."""
     for number, estimator in enumerate(estimators):
         rows = [r for r in fidelity.rows if (r.judge, r.estimator) == (judge.judge, estimator) and r.error is None]
         truth = np.array([r.truth_rmse_deg for r in rows], dtype=np.float64)

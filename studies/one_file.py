@@ -49,7 +49,7 @@ def write_one_file(
             reasons[estimate.name] = "nothing judges it"
             continue
         try:
-            streams.append(_error_stream(estimate, judge))
+            streams.append(_make_error_stream(estimate, judge))
         except StillpointError as error:
             reasons[estimate.name] = str(error)
     write_mcap(path, streams, records, {})
@@ -63,7 +63,7 @@ def _name_by_estimator(stream: Stream, name: str) -> Stream:
     return replace(stream, topic=stream.topic.replace("/estimate/", f"/estimate/{name}/", 1), group=f"estimate {name}")
 
 
-def _error_stream(estimate: Estimate, judge: Truth | Reference) -> Stream:
+def _make_error_stream(estimate: Estimate, judge: Truth | Reference) -> Stream:
     """Return the errors of an estimate at the stamps of its judge, in degrees."""
     compared = compare(estimate, judge)
     found = attitude_error(compared.q_est, compared.q_true)

@@ -51,7 +51,7 @@ def draw_jobs(archive: Archive, count: int | None, seed: int) -> tuple[list[Rema
     """
     jobs, reasons = [], {}
     for entry in archive.find(" or ".join(f"kind = '{kind}'" for kind in _KINDS)):
-        job = _job_of(archive, entry)
+        job = _make_job(archive, entry)
         if isinstance(job, str):
             reasons[entry.file_name] = job
         else:
@@ -61,7 +61,7 @@ def draw_jobs(archive: Archive, count: int | None, seed: int) -> tuple[list[Rema
     return jobs, reasons
 
 
-def _job_of(archive: Archive, entry: Entry) -> RemakeJob | str:
+def _make_job(archive: Archive, entry: Entry) -> RemakeJob | str:
     """Return the job of one object, or why there is none."""
     kept = {name: archive.entry(parent) for name, parent in archive.parents(entry.sha256)}
     missing = [name for name, parent in kept.items() if parent is None or parent.removed]
@@ -102,6 +102,7 @@ def remake(job: RemakeJob) -> Remade:
 
 
 def _remake_estimate(kept: Estimate, recording: Recording, job: RemakeJob) -> Estimate:
+    """Make an estimate again with the settings, precision, heading and calibration that the kept one states."""
     digest = sha256(job.recording)
     if job.calibration is not None:
         recording = apply_calibration(recording, load_calibration(job.calibration), digest)
@@ -138,7 +139,7 @@ def largest_difference_rad(kept: Made, made: Made) -> float:
     found = [0.0]
     q_kept, q_made = getattr(kept, "q_nb", None), getattr(made, "q_nb", None)
     if q_kept is not None and q_made is not None:
-        found.append(float(_angles_rad(q_kept, q_made).max()))
+        found.append(float(_compute_angles_rad(q_kept, q_made).max()))
     for name in ("angle_rad", "rate_radps"):
         one, other = getattr(kept, name, None), getattr(made, name, None)
         if (one is None) != (other is None):
@@ -148,5 +149,5 @@ def largest_difference_rad(kept: Made, made: Made) -> float:
     return max(found)
 
 
-def _angles_rad(q_a: Floats, q_b: Floats) -> Floats:
+def _compute_angles_rad(q_a: Floats, q_b: Floats) -> Floats:
     return np.asarray((rotation(q_a).inv() * rotation(q_b)).magnitude(), dtype=np.float64)

@@ -172,7 +172,7 @@ def tune(
     missing package; :class:`Unobservable` when no recording can be judged.
     """
     _require_optuna()
-    _check(estimator, ranges, against, trials, steps, seconds)
+    _check_task(estimator, ranges, against, trials, steps, seconds)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     store = ResultStore(folder / RESULTS)
@@ -219,7 +219,8 @@ def _run_trials(spec: _TuneSpec) -> int:
     run = 0
     bench = _Bench(spec)
 
-    def score(trial: Any) -> float:
+    def score_trial(trial: Any) -> float:
+        """Return the typical RMSE of the setting that the trial suggests."""
         params = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in spec.ranges}
         rmse = bench.evaluate(params)
         nonlocal run
@@ -231,7 +232,7 @@ def _run_trials(spec: _TuneSpec) -> int:
         if _is_done(study, spec):
             study.stop()
 
-    study.optimize(score, callbacks=[stop_when_done])
+    study.optimize(score_trial, callbacks=[stop_when_done])
     return run
 
 
@@ -239,6 +240,7 @@ class _Bench:
     """Recordings with their judges in memory, to score one setting after another."""
 
     def __init__(self, spec: _TuneSpec) -> None:
+        """Load recordings and judges, and choose the figure: the inclination where no heading can be judged."""
         self.spec = spec
         self.row_of = number_rows(spec.sources)
         self.material = [_load(spec, source) for source in spec.sources]
@@ -273,7 +275,7 @@ def _summarise(spec: _TuneSpec) -> Tuning:
     bench = _Bench(spec)
     trials = [
         TunedTrial(dict(trial.params), tuple(trial.user_attrs[_RMSE_ATTRIBUTE]), float(trial.value))
-        for trial in _complete(_open_study(spec))
+        for trial in _list_complete(_open_study(spec))
     ]
     defaults_rmse = bench.evaluate({})
     defaults = TunedTrial(_get_defaults(spec), tuple(defaults_rmse), _average_rmse(defaults_rmse, bench.row_of))
@@ -341,6 +343,7 @@ def tuning_toml(tuning: Tuning) -> str:
 
 
 def _require_optuna() -> None:
+    """Raise :class:`BadParameter` where optuna is not installed, and keep it quiet."""
     try:
         import optuna
     except ImportError:
@@ -348,9 +351,10 @@ def _require_optuna() -> None:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 
-def _check(
+def _check_task(
     estimator: str, ranges: Sequence[ParamRange], against: str, trials: int, steps: int, seconds: float | None
 ) -> None:
+    """Raise :class:`BadParameter` where estimator, ranges, trials or time do not allow a search."""
     require_known(estimator, ATTITUDES, "estimator of attitude")
     require_known(against, AGAINST, "--against")
     if not ranges:
@@ -392,10 +396,10 @@ def _is_done(study: Any, spec: _TuneSpec) -> bool:
     """Return whether there are as many trials as asked for; of a grid, whether every point was tried."""
     if spec.sampler == "grid":
         return bool(study.sampler.is_exhausted(study))
-    return len(_complete(study)) >= spec.trials
+    return len(_list_complete(study)) >= spec.trials
 
 
-def _complete(study: Any) -> list[Any]:
+def _list_complete(study: Any) -> list[Any]:
     return [trial for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
 
 

@@ -19,7 +19,7 @@ def draw_tuning(tuning: Tuning) -> Figure:
     figure = Figure(figsize=(4.6, 3.6), layout="constrained")
     ax: Axes = figure.add_subplot()
     if len(tuning.ranges) == 1:
-        _draw_line(ax, tuning)
+        _draw_curve(ax, tuning)
     else:
         _draw_map(figure, ax, tuning)
     ax.set_title(
@@ -30,7 +30,8 @@ def draw_tuning(tuning: Tuning) -> Figure:
     return figure
 
 
-def _draw_line(ax: Axes, tuning: Tuning) -> None:
+def _draw_curve(ax: Axes, tuning: Tuning) -> None:
+    """Draw the typical RMSE in deg over the one parameter that was tuned."""
     name = tuning.ranges[0].name
     ordered = sorted(tuning.trials, key=lambda trial: trial.params[name])
     ax.plot([t.params[name] for t in ordered], [t.typical_deg for t in ordered], ".-", linewidth=0.8)

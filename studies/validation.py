@@ -90,6 +90,7 @@ def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], a
 
 
 def _validate_row(recording: Recording, truth: Truth, row: ValidationRow, align: AlignKind) -> ValidationRow:
+    """Return the row with the score of its method, or with the error that it raised."""
     try:
         begun = perf_counter()
         made: Reference | Estimate = (

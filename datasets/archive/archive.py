@@ -100,7 +100,7 @@ class Archive:
         """Add files that state what their records are to hold; otherwise as :meth:`add`."""
         files = iter(files)
         while batch := list(islice(files, _BATCH)):
-            with self._incoming() as incoming:
+            with self._open_incoming() as incoming:
                 wanted: dict[str, Wanted] = {}
                 descriptions: dict[str, Description] = {}
                 outcomes = [self._take(incoming, given, wanted, descriptions) for given in batch]
@@ -117,7 +117,7 @@ class Archive:
                 return Added(given.source, sha256, descriptions[sha256].kind, "present")
             known = self.find_record(sha256)
             if known is not None and not known.removed and self.storage.has(known.object_key):
-                return Added(given.source, sha256, self._kind(sha256), "present")
+                return Added(given.source, sha256, self._find_kind(sha256), "present")
             described = describe_object(copy, given.file_name)
             if described.problem:
                 raise BadFile(f"{described.problem.replace(str(copy), str(given.source))}; it is not added")
@@ -134,7 +134,8 @@ class Archive:
         return Added(given.source, sha256, described.kind, "added" if known is None else "restored")
 
     @contextmanager
-    def _incoming(self) -> Iterator[Incoming]:
+    def _open_incoming(self) -> Iterator[Incoming]:
+        """Finish interrupted changes, and yield a folder for a new one; it is abandoned where the block raises."""
         self.finish_interrupted()
         incoming = Incoming(self.home)
         try:
@@ -145,7 +146,7 @@ class Archive:
         incoming.close()
 
     def finish_interrupted(self) -> int:
-        """Complete or delete what killed processes left; returns how many there were."""
+        """Complete or delete what killed processes left; return how many changes there were."""
         return finish_dead_changes(self.home, self._commit)
 
     def _commit(self, changes: Sequence[Change], descriptions: Mapping[str, Description] | None = None) -> None:
@@ -162,7 +163,12 @@ class Archive:
                 for change in changes:
                     kept = self.read_record(change.record.sha256)
                     described = (descriptions or {}).get(kept.sha256)
-                    if described is None and change.object_file is None and self._kind(kept.sha256) and not kept.freed:
+                    if (
+                        described is None
+                        and change.object_file is None
+                        and self._find_kind(kept.sha256)
+                        and not kept.freed
+                    ):
                         put_labels(connection, kept)
                         continue
                     if described is None:
@@ -314,9 +320,10 @@ class Archive:
         return list(found.values())
 
     def _replace_records(self, records: Sequence[Record]) -> None:
+        """Write changed records in one change of the archive."""
         if not records:
             return
-        with self._incoming() as incoming:
+        with self._open_incoming() as incoming:
             self._commit(incoming.stage([Wanted(record, None, replaces=True) for record in records]))
 
     # -- the catalogue ------------------------------------------------------------------------------------------------
@@ -377,7 +384,7 @@ class Archive:
             return Description("missing", record.file_name, problem="its object is not there")
         return describe_object(self.storage.path(record.object_key), record.file_name)
 
-    def _kind(self, sha256: str) -> str:
+    def _find_kind(self, sha256: str) -> str:
         rows = self.catalogue.select("SELECT kind FROM objects WHERE sha256 = ?", (sha256,))
         return str(rows[0]["kind"]) if rows else ""
 
@@ -410,7 +417,7 @@ class Archive:
 def create_archive(place: str | Path) -> Archive:
     """Make an archive in a new or empty folder, or below a URL. Raises :class:`BadParameter` otherwise."""
     storage = storage_at(place)
-    home = _home(storage)
+    home = _find_home(storage)
     if storage.has(MARK):
         raise BadParameter(f"{storage.name}: is already an archive; use it, or name another folder")
     taken = isinstance(storage, FolderStorage) and storage.root.exists()
@@ -441,7 +448,7 @@ def open_archive(place: str | Path) -> Archive:
     storage = storage_at(place)
     if not storage.has(MARK):
         raise BadParameter(f"{storage.name}: is no archive; make one: stillpoint archive init {storage.name}")
-    home = _home(storage)
+    home = _find_home(storage)
     home.mkdir(parents=True, exist_ok=True)
     is_new = not (home / FILE).exists()
     archive = Archive(storage, home)
@@ -462,7 +469,7 @@ def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
         return [archive.path_of(archive.resolve(word)) for word in words]
 
 
-def _home(storage: Storage) -> Path:
+def _find_home(storage: Storage) -> Path:
     """Return the folder of the catalogue: the archive itself, or the user's cache for a remote one."""
     if isinstance(storage, FolderStorage):
         return storage.root

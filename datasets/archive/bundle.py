@@ -25,15 +25,15 @@ def bundle_files(items: Sequence[Item], about: About, extra: Mapping[str, bytes]
     :class:`~stillpoint.datasets.errors.BadParameter` without it.
     """
     texts: dict[str, bytes] = {
-        "README.md": _readme(items, about).encode(),
-        "CITATION.cff": _citation(items, about).encode(),
-        "LICENSES.md": _licences(items).encode(),
-        "REPRODUCE.md": _write_instructions(items).encode(),
-        "reproduce.sh": _reproduce_script(items).encode(),
-        "index.csv": _index(items).encode(),
+        "README.md": _format_readme(items, about).encode(),
+        "CITATION.cff": _format_citation(items, about).encode(),
+        "LICENSES.md": _format_licences(items).encode(),
+        "REPRODUCE.md": _format_instructions(items).encode(),
+        "reproduce.sh": _make_script(items).encode(),
+        "index.csv": _make_index(items).encode(),
         **extra,
     }
-    texts[MANIFEST] = _manifest(items, about, texts).encode()
+    texts[MANIFEST] = _make_manifest(items, about, texts).encode()
     texts["croissant.json"] = make_croissant(items, about, texts["index.csv"])
     texts["ro-crate-metadata.json"] = make_ro_crate(items, about, texts)
     sums = {item.path: item.entry.sha256 for item in items} | {
@@ -43,7 +43,7 @@ def bundle_files(items: Sequence[Item], about: About, extra: Mapping[str, bytes]
     return {**{item.path: item.source for item in items}, **texts}
 
 
-def _manifest(items: Sequence[Item], about: About, texts: Mapping[str, bytes]) -> str:
+def _make_manifest(items: Sequence[Item], about: About, texts: Mapping[str, bytes]) -> str:
     """Return the list of all files with their hashes, from which `archive import` takes a bundle in."""
     objects = [
         {
@@ -73,7 +73,7 @@ def _manifest(items: Sequence[Item], about: About, texts: Mapping[str, bytes]) -
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def _index(items: Sequence[Item]) -> str:
+def _make_index(items: Sequence[Item]) -> str:
     """Return one row per object, for people and for the record set of Croissant."""
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
@@ -86,7 +86,7 @@ def _index(items: Sequence[Item]) -> str:
     return out.getvalue()
 
 
-def _citation(items: Sequence[Item], about: About) -> str:
+def _format_citation(items: Sequence[Item], about: About) -> str:
     """Return CITATION.cff 1.2.0; strings are JSON strings, which YAML reads."""
     lines = [
         "cff-version: 1.2.0",
@@ -102,7 +102,7 @@ def _citation(items: Sequence[Item], about: About) -> str:
     if citations:
         lines.append("references:")
     for text in citations:
-        authors, title = _authors_and_title(text)
+        authors, title = _split_citation(text)
         lines += [
             "  - type: generic",
             f"    title: {_quote(title)}",
@@ -112,7 +112,8 @@ def _citation(items: Sequence[Item], about: About) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _authors_and_title(text: str) -> tuple[str, str]:
+def _split_citation(text: str) -> tuple[str, str]:
+    """Return authors and title of a citation ``AUTHORS: TITLE``."""
     authors, colon, title = text.partition(": ")
     return (authors, title) if colon else ("see the title", text)
 
@@ -121,7 +122,8 @@ def _quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _licences(items: Sequence[Item]) -> str:
+def _format_licences(items: Sequence[Item]) -> str:
+    """Return the page LICENCES.md, which lists the files of the bundle under their licences."""
     by_licence: dict[tuple[str, ...], list[str]] = {}
     for item in items:
         by_licence.setdefault(item.licences, []).append(item.path)
@@ -136,7 +138,7 @@ def _licences(items: Sequence[Item]) -> str:
     return "\n".join(lines)
 
 
-def _readme(items: Sequence[Item], about: About) -> str:
+def _format_readme(items: Sequence[Item], about: About) -> str:
     """Return the page that Zenodo and Hugging Face show, with the front matter of a dataset card."""
     licences = sorted({licence for item in items for licence in item.licences})
     counts = {kind: sum(item.entry.kind == kind for item in items) for kind in {item.entry.kind for item in items}}
@@ -170,7 +172,8 @@ tags: [imu, orientation, attitude, mcap]
 """
 
 
-def _write_instructions(items: Sequence[Item]) -> str:
+def _format_instructions(items: Sequence[Item]) -> str:
+    """Return the page REPRODUCE.md: how to make the files of the bundle again, and how exactly they agree."""
     made = sorted({item.entry.columns["version"] for item in items if item.entry.columns.get("version")})
     return f"""# Reproduce
 
@@ -186,7 +189,8 @@ The files were made by stillpoint {", ".join(made) or "(no version is recorded)"
 """
 
 
-def _reproduce_script(items: Sequence[Item]) -> str:
+def _make_script(items: Sequence[Item]) -> str:
+    """Return the shell script that imports the bundle into a new archive and makes its files again."""
     lines = [
         "#!/bin/sh",
         "# Remakes all references, estimates and leaderboards of this bundle from its recordings; see REPRODUCE.md.",

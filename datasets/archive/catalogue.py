@@ -38,7 +38,8 @@ SCORE_FIGURES = (
 )  # fmt: skip
 
 
-def _affinity(name: str) -> str:
+def _choose_affinity(name: str) -> str:
+    """Return the SQLite type of a column."""
     if name in ("samples", "rests"):
         return "INTEGER"
     return "REAL" if name in NUMBERS else "TEXT"
@@ -52,7 +53,7 @@ _MIGRATIONS: tuple[str, ...] = (
         size INTEGER NOT NULL, added TEXT NOT NULL, removed TEXT NOT NULL DEFAULT '',
         reason TEXT NOT NULL DEFAULT '', freed TEXT NOT NULL DEFAULT '',
         problem TEXT NOT NULL, link TEXT NOT NULL DEFAULT '',
-        {", ".join(f"{name} {_affinity(name)}" for name in DESCRIBED)},
+        {", ".join(f"{name} {_choose_affinity(name)}" for name in DESCRIBED)},
         facts TEXT NOT NULL
     ) WITHOUT ROWID;
     CREATE INDEX objects_by_name ON objects (name);
@@ -115,6 +116,7 @@ class Catalogue:
     """An open catalogue. Changes go through :meth:`change`, one transaction each."""
 
     def __init__(self, path: Path) -> None:
+        """Open the catalogue, and migrate it to this version; raises :class:`BadFile` for another file."""
         self.path = path
         try:
             self.connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None)
@@ -161,6 +163,10 @@ class Catalogue:
         return {table: [tuple(row) for row in self.select(f"SELECT * FROM {table} ORDER BY 1, 2")] for table in TABLES}
 
     def _migrate(self) -> None:
+        """Apply the migrations that the file lacks, each in one transaction.
+
+        Raises :class:`BadFile` for a newer schema.
+        """
         version = self.connection.execute("PRAGMA user_version").fetchone()[0]
         if version > len(_MIGRATIONS):
             raise BadFile(f"{self.path}: was written by a newer stillpoint (schema {version}); install that version")
@@ -200,30 +206,30 @@ def make_content_rows(record: Record, described: Description) -> dict[str, list[
     return {
         "objects": [columns],
         "streams": [{"sha256": record.sha256, **vars(stream)} for stream in described.streams],
-        "parents": [_parent_row(record.sha256, *parent) for parent in described.parents],
+        "parents": [_make_parent_row(record.sha256, *parent) for parent in described.parents],
         "score_rows": [_score_row(record.sha256, k, row) for k, row in enumerate(described.scores)],
     }
 
 
 def digest_rows(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    """The SHA-256 of described rows, the same for rows that are to be inserted and for rows that were read back."""
+    """Return the SHA-256 of described rows; rows to be inserted and the same rows read back give the same one."""
     plain = {}
     for table in DESCRIBED_TABLES:
         own = rows.get(table, ())
         plain[table] = sorted(
-            [[name, _comparable(row[name])] for name in _list_content_columns(tuple(row))] for row in own
+            [[name, _to_text(row[name])] for name in _list_content_columns(tuple(row))] for row in own
         )
     return hashlib.sha256(json.dumps(plain, ensure_ascii=True).encode()).hexdigest()
 
 
 @cache
 def _list_content_columns(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The columns of a row that its content decides, in order."""
+    """Return the columns of a row that its content decides, in order."""
     return tuple(sorted(set(names) - set(_LABELLED)))
 
 
-def _comparable(value: Any) -> str:
-    """A value as text; SQLite gives whole numbers of a REAL column back as floats, and NaN as NULL."""
+def _to_text(value: Any) -> str:
+    """Return a value as text; SQLite gives whole numbers of a REAL column back as floats, and NaN as NULL."""
     if isinstance(value, str):  # the most of them
         return f"'{value}"
     if value is None or value != value:
@@ -257,7 +263,7 @@ def facts_in(text: str) -> dict[str, Any]:
     return facts
 
 
-def _parent_row(child: str, name: str, parent: str) -> dict[str, Any]:
+def _make_parent_row(child: str, name: str, parent: str) -> dict[str, Any]:
     return {"child": child, "parent": parent, "name": name}
 
 

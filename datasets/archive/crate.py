@@ -34,7 +34,7 @@ _MCAP_FORMAT = "https://mcap.dev/spec"
 _MISSING = "{} needs the extra publish ({}); install it: pip install 'stillpoint[publish]'"
 
 
-def _licence_url(licence: str) -> str | None:
+def _find_licence_url(licence: str) -> str | None:
     """Return the page of a licence at SPDX, None for one that is not known here."""
     known = _SPDX.get(licence.lower()) or (licence if licence in _SPDX.values() else None)
     return None if known is None else f"https://spdx.org/licenses/{known}"
@@ -54,7 +54,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
         licence: crate.add(
             ContextEntity(
                 crate,
-                _licence_url(licence) or f"#licence-{_identifier(licence)}",
+                _find_licence_url(licence) or f"#licence-{_make_identifier(licence)}",
                 properties={"@type": "CreativeWork", "name": licence},
             )
         )
@@ -63,7 +63,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
     every = list(licences.values())
     crate.license = every if every else "no licence is stated; see LICENSES.md"
     crate.creator = [
-        crate.add(ContextEntity(crate, f"#author-{_identifier(name)}", {"@type": "Person", "name": name}))
+        crate.add(ContextEntity(crate, f"#author-{_make_identifier(name)}", {"@type": "Person", "name": name}))
         for name in about.authors
     ]
     made_by = crate.add(
@@ -79,7 +79,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
         properties: dict[str, Any] = {
             "name": item.entry.file_name,
             "description": f"{item.entry.kind} {item.entry.name}",
-            "encodingFormat": _media_type(item.path),
+            "encodingFormat": _find_media_type(item.path),
             "contentSize": str(item.entry.size),
             "sha256": item.entry.sha256,
         }
@@ -93,7 +93,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
             file["isBasedOn"] = based_on
             file["creator"] = made_by
     for path, data in texts.items():
-        properties = {"encodingFormat": _media_type(path), "contentSize": str(len(data))}
+        properties = {"encodingFormat": _find_media_type(path), "contentSize": str(len(data))}
         crate.add_file(dest_path=path, properties={**properties, "sha256": sha256(data).hexdigest()})
     return _to_bytes(crate.metadata.generate())
 
@@ -119,7 +119,7 @@ def make_croissant(items: Sequence[Item], about: About, index: bytes) -> bytes:
             description=f"{item.entry.kind} {item.entry.name}",
             content_url=item.path,
             content_size=f"{item.entry.size} B",
-            encoding_formats=[_media_type(item.path)],
+            encoding_formats=[_find_media_type(item.path)],
             sha256=item.entry.sha256,
         )
         for item in items
@@ -138,10 +138,10 @@ def make_croissant(items: Sequence[Item], about: About, index: bytes) -> bytes:
     ]
     licences = sorted({licence for item in items for licence in item.licences})
     metadata = mlc.Metadata(
-        name=_identifier(about.title),
+        name=_make_identifier(about.title),
         description=about.description or about.title,
-        license=[_licence_url(licence) or licence for licence in licences] or ["not stated"],
-        url=about.url or f"https://example.org/{_identifier(about.title)}",
+        license=[_find_licence_url(licence) or licence for licence in licences] or ["not stated"],
+        url=about.url or f"https://example.org/{_make_identifier(about.title)}",
         cite_as="; ".join(list_citations(items)) or about.title,
         creators=[mlc.Person(name=name) for name in about.authors],
         date_published=about.published,
@@ -152,11 +152,12 @@ def make_croissant(items: Sequence[Item], about: About, index: bytes) -> bytes:
     return _to_bytes(metadata.to_json())
 
 
-def _identifier(text: str) -> str:
+def _make_identifier(text: str) -> str:
+    """Return text as an identifier of letters, digits, ``_``, ``.`` and ``-``."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", text).strip("-") or "dataset"
 
 
-def _media_type(path: str) -> str:
+def _find_media_type(path: str) -> str:
     return next((kind for suffix, kind in _MEDIA_TYPES.items() if path.endswith(suffix)), "application/octet-stream")
 
 

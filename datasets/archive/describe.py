@@ -81,15 +81,17 @@ def _describe_mcap(path: Path, file_name: str) -> Description:
     try:
         facts = from_json(record["facts"])
         _check_counts(log, facts, path)
-        streams = _streams(log, kind)
-        described = _recording_columns(facts) if kind == "recording" else _trajectory_columns(kind, facts, log)
+        streams = _list_streams(log, kind)
+        described = (
+            _make_recording_columns(facts) if kind == "recording" else _make_trajectory_columns(kind, facts, log)
+        )
         parents = facts["info"]["sha256"] if kind == "recording" else facts["made_from"]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadFile(
             f"{path}: its facts cannot be read ({type(error).__name__}: {error}); restore it from a copy"
         ) from error
     name = facts["recording"] if kind == "estimate" else facts["name"]
-    clock = _main_clock(log, kind)
+    clock = _get_main_clock(log, kind)
     described |= {"version": record.get("version", ""), "samples": len(clock), "rate_hz": rate_hz(clock)}
     if streams:
         starts = [one.start_s for one in streams if "truth" not in one.stream]
@@ -101,7 +103,7 @@ def _describe_mcap(path: Path, file_name: str) -> Description:
         columns=described,
         facts=facts,
         streams=streams,
-        parents=_pairs(parents),
+        parents=_list_pairs(parents),
         problem=log.lost,
     )
 
@@ -113,7 +115,8 @@ def _check_counts(log: Log, facts: Mapping[str, Any], path: Path) -> None:
             raise BadFile(f"{path}: {topic} should have {count} messages and has {log.counts.get(topic, 0)}")
 
 
-def _recording_columns(facts: Mapping[str, Any]) -> dict[str, Any]:
+def _make_recording_columns(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the columns of a recording in the catalogue, from the facts of its file."""
     info = facts["info"]
     place = info["place_lat_lon_alt"]
     return {
@@ -123,7 +126,8 @@ def _recording_columns(facts: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _trajectory_columns(kind: str, facts: Mapping[str, Any], log: Log) -> dict[str, Any]:
+def _make_trajectory_columns(kind: str, facts: Mapping[str, Any], log: Log) -> dict[str, Any]:
+    """Return the columns of a reference or an estimate in the catalogue; standard deviations in deg."""
     if kind == "estimate":
         return {"estimator": facts["name"], "ns_per_sample": facts["ns_per_sample"]}
     columns: dict[str, Any] = {"method": facts["method"]}
@@ -141,7 +145,7 @@ def _trajectory_columns(kind: str, facts: Mapping[str, Any], log: Log) -> dict[s
     return columns
 
 
-def _streams(log: Log, kind: str) -> list[Stream]:
+def _list_streams(log: Log, kind: str) -> list[Stream]:
     """Return one row per stream of the object; a trajectory is one stream, named by its kind."""
     found: dict[str, Times] = {}
     for topic in TOPICS:
@@ -151,6 +155,7 @@ def _streams(log: Log, kind: str) -> list[Stream]:
 
 
 def _describe_stream(name: str, t_ns: Times) -> Stream:
+    """Return samples, rate, length and gaps of a stream with stamps (N,) in ns."""
     gaps_s = (np.diff(t_ns) / 1e9)[find_gaps(t_ns)]
     return Stream(
         stream=name,
@@ -163,7 +168,7 @@ def _describe_stream(name: str, t_ns: Times) -> Stream:
     )
 
 
-def _main_clock(log: Log, kind: str) -> Times:
+def _get_main_clock(log: Log, kind: str) -> Times:
     """Return the stamps of the first stream: of a recording the IMU, or the spin where it has none."""
     for topic in TOPICS:
         if topic.kind == kind and not topic.drawn and topic.name in log.topics:
@@ -202,10 +207,11 @@ def _is_rows(value: Any) -> TypeGuard[list[dict[str, Any]]]:
 def _describe_table(
     kind: str, file_name: str, content: Mapping[str, Any], rows: Sequence[dict[str, Any]], parents: Mapping[str, str]
 ) -> Description:
+    """Describe a file of scores or of a leaderboard; its rows become scores of the catalogue."""
     columns = {"samples": len(rows), "version": str(content.get("version", ""))}
-    return Description(kind, file_name, columns, parents=_pairs(parents), scores=rows)
+    return Description(kind, file_name, columns, parents=_list_pairs(parents), scores=rows)
 
 
-def _pairs(parents: Mapping[str, str]) -> list[tuple[str, str]]:
+def _list_pairs(parents: Mapping[str, str]) -> list[tuple[str, str]]:
     """Return names and hashes, sorted; an entry that is no SHA-256 is left to the facts."""
     return sorted((str(name), value) for name, value in parents.items() if SHA256.fullmatch(str(value)))

@@ -62,6 +62,7 @@ class Incoming:
     """The folder of this process; close it when its changes are moved in."""
 
     def __init__(self, home: Path) -> None:
+        """Make an empty folder below ``incoming/``, and lock it while this process lives."""
         base = home / "incoming"
         base.mkdir(exist_ok=True)
         token = f"{os.getpid()}-{secrets.token_hex(4)}"
@@ -127,7 +128,8 @@ class Incoming:
 def sync_files(paths: Iterable[Path]) -> None:
     """Flush files and folders to the disk, several at once: file systems join such requests."""
 
-    def sync(path: Path) -> None:
+    def flush(path: Path) -> None:
+        """Write a file or folder to the disk; does nothing where the system cannot."""
         handle = os.open(path, os.O_RDONLY)
         try:
             os.fsync(handle)
@@ -137,33 +139,35 @@ def sync_files(paths: Iterable[Path]) -> None:
             os.close(handle)
 
     with ThreadPoolExecutor(_SYNCS_AT_ONCE) as pool:
-        list(pool.map(sync, paths))
+        list(pool.map(flush, paths))
 
 
 def finish_dead_changes(home: Path, commit: Callable[[Sequence[Change]], None]) -> int:
     """Commit what dead processes left complete, delete what they left in parts; returns how many folders there were."""
     count = 0
-    for name, folder in _folders(home):
+    for name, folder in _list_folders(home):
         lock = home / "incoming" / f"{name}.lock"
         with lock_of_dead_process(lock) as dead:
             if not dead:
                 continue
             if folder.is_dir():
-                commit(_complete_changes(folder))
+                commit(_read_changes(folder))
                 shutil.rmtree(folder, ignore_errors=True)
                 count += 1
             lock.unlink(missing_ok=True)
     return count
 
 
-def _folders(home: Path) -> Iterator[tuple[str, Path]]:
+def _list_folders(home: Path) -> Iterator[tuple[str, Path]]:
+    """Yield token and folder of each change that was begun and not finished."""
     base = home / "incoming"
     if base.is_dir():
         for name in sorted({entry.name.removesuffix(".lock") for entry in base.iterdir()}):
             yield name, base / name
 
 
-def _complete_changes(folder: Path) -> list[Change]:
+def _read_changes(folder: Path) -> list[Change]:
+    """Return the changes in a folder whose record is whole; a record that cannot be read is passed over."""
     changes = []
     for file in sorted(folder.glob("*.json")):
         try:

@@ -10,6 +10,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _try_lock(handle: int) -> bool:
+        """Lock an open file; return False where another process holds the lock."""
         try:
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         except OSError:
@@ -47,6 +48,7 @@ class OwnLock:
     """A lock file of this process alone: others see from it whether this process lives."""
 
     def __init__(self, path: Path) -> None:
+        """Lock the file, and make it where it is missing; waits for a process that is just deleting it."""
         self.path = path
         while True:
             self._handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -74,6 +76,7 @@ def lock_of_dead_process(path: Path) -> Iterator[bool]:
 
 
 def _is_same_file(handle: int, path: Path) -> bool:
+    """Return whether an open file is still the one under this path."""
     try:
         return os.path.samestat(os.fstat(handle), os.stat(path))
     except FileNotFoundError:

@@ -61,6 +61,7 @@ def write_bundle(files: Mapping[str, Path | bytes], target: Path) -> None:
 
 
 def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
+    """Write the files of a bundle below a folder; raises ``FileExistsError`` for one that is there."""
     for path, content in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         with open(folder / path, "xb") as out, _open_content(content) as source:
@@ -68,6 +69,7 @@ def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
 
 
 def _write_zip(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
+    """Write a bundle as ZIP with fixed times; MCAP files, which are compressed already, are stored as they are."""
     with zipfile.ZipFile(target, "w") as out:
         for path, content in files.items():
             info = zipfile.ZipInfo(path, _FIXED_TIME)
@@ -79,6 +81,7 @@ def _write_zip(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
 
 
 def _write_tar(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
+    """Write a bundle as TAR with fixed times and rights."""
     with tarfile.open(fileobj=target, mode="w", format=tarfile.PAX_FORMAT) as out:
         for path, content in files.items():
             info = tarfile.TarInfo(path)
@@ -118,6 +121,7 @@ class Bundle:
             )
 
     def _read_manifest(self, largest: int) -> list[_Member]:
+        """Return the members that the manifest names; raises :class:`BadFile` for a manifest that is not ours."""
         with self._open(MANIFEST) as file:
             data = file.read(_LARGEST_MANIFEST + 1)
         if len(data) > _LARGEST_MANIFEST:
@@ -126,7 +130,7 @@ class Bundle:
             content = json.loads(data)
             if content["format"] != FORMAT:
                 raise BadFile(f"{self.place}: is a bundle of format {content['format']}; install a newer stillpoint")
-            members = [_member(one) for one in content["objects"]]
+            members = [_parse_member(one) for one in content["objects"]]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise BadFile(f"{self.place}: its {MANIFEST} cannot be read ({error}); copy the bundle again") from error
         total = sum(member.size for member in members)
@@ -135,7 +139,8 @@ class Bundle:
         return members
 
 
-def _member(one: Mapping[str, Any]) -> _Member:
+def _parse_member(one: Mapping[str, Any]) -> _Member:
+    """Return an entry of the manifest; raises ``ValueError`` for a path that leads out, or without hash or size."""
     path = str(one["path"])
     if not is_inside(path):
         raise ValueError(f"{path!r} leads out of the bundle")
@@ -183,6 +188,7 @@ def open_bundle(place: Path, largest: int = LARGEST_BUNDLE) -> Iterator[Bundle]:
 
 
 def _open_in_folder(place: Path, path: str) -> IO[bytes]:
+    """Open a file of a bundle in a folder; raises :class:`BadFile` for links and for paths that lead out."""
     file = place / path
     if not file.is_file() or file.is_symlink() or not file.resolve().is_relative_to(place.resolve()):
         raise BadFile(f"{place}: has no file {path} (sha256sum -c {CHECKSUMS} lists all); copy the bundle again")
@@ -190,6 +196,7 @@ def _open_in_folder(place: Path, path: str) -> IO[bytes]:
 
 
 def _open_in_zip(place: Path, archive: zipfile.ZipFile, path: str) -> IO[bytes]:
+    """Open a file of a bundle in a ZIP; raises :class:`BadFile` where it would unpack to far more than its size."""
     try:
         info = archive.getinfo(path)
     except KeyError:
@@ -200,6 +207,7 @@ def _open_in_zip(place: Path, archive: zipfile.ZipFile, path: str) -> IO[bytes]:
 
 
 def _open_in_tar(place: Path, tar: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], path: str) -> IO[bytes]:
+    """Open a file of a bundle in a TAR; raises :class:`BadFile` where it is missing."""
     file = tar.extractfile(members[path]) if path in members else None
     if file is None:
         raise BadFile(f"{place}: has no file {path}; copy the bundle again")

@@ -65,8 +65,8 @@ def parse_query(text: str) -> Condition:
     if text.strip().lower() in ("", "all", "*"):
         return Condition("o.removed = ''")
     try:
-        tree = _parser().parse(text)
-        found = _translator().transform(tree)
+        tree = _make_parser().parse(text)
+        found = _make_translator().transform(tree)
     except UnexpectedInput as error:
         place = getattr(error, "column", 0) or len(text) + 1
         raise BadParameter(
@@ -83,14 +83,15 @@ def parse_query(text: str) -> Condition:
 
 
 @cache
-def _parser() -> Any:
+def _make_parser() -> Any:
     from lark import Lark
 
     return Lark(_GRAMMAR, parser="lalr")
 
 
 @cache
-def _translator() -> Any:
+def _make_translator() -> Any:
+    """Return the Lark transformer whose methods turn the rules of the grammar into conditions."""
     from lark import Transformer
 
     class Translator(Transformer):
@@ -109,10 +110,10 @@ def _translator() -> Any:
             return Condition(f"NOT ({parts[0].sql})", parts[0].parameters)
 
         def comparison(self, parts: list[Any]) -> Condition:
-            return _compare_field(_field(parts[0]), str(parts[1]), parts[2])
+            return _compare_field(_read_field(parts[0]), str(parts[1]), parts[2])
 
         def label(self, parts: list[Any]) -> Condition:
-            return _match_label(_field(parts[0]), parts[1])
+            return _match_label(_read_field(parts[0]), parts[1])
 
         def anywhere(self, parts: list[str]) -> Condition:
             word = parts[0]
@@ -126,7 +127,7 @@ def _translator() -> Any:
     return Translator()
 
 
-def _field(name: Any) -> str:
+def _read_field(name: Any) -> str:
     """Return a field as it is written, in lower case; a key of metadata keeps its case."""
     head, dot, rest = str(name).partition(".")
     return f"{head.lower()}{dot}{rest}"
@@ -141,14 +142,16 @@ def _compare_field(name: str, operator: str, value: str) -> Condition:
     """Return the condition ``name operator value``."""
     head, dot, rest = name.partition(".")
     if head == "meta" and dot:
-        return _within("metadata", "key", rest, _compare("t.value", operator, value, number=_is_number(value)))
+        return _match_row("metadata", "key", rest, _compare("t.value", operator, value, number=_is_number(value)))
     if head in _OF_STREAMS and dot:
         column = f"t.{_OF_STREAMS[head]}"
-        return _within("streams", "stream", rest, _compare(column, operator, _number(name, value), number=True))
+        return _match_row(
+            "streams", "stream", rest, _compare(column, operator, _parse_number(name, value), number=True)
+        )
     if head == "tag":
-        return _match_label("tag", value) if operator == "=" else _tag_condition(operator, value)
+        return _match_label("tag", value) if operator == "=" else _match_tag(operator, value)
     if name in SCORE_FIGURES:
-        test = _compare(f"t.{name}", operator, _number(name, value), number=True)
+        test = _compare(f"t.{name}", operator, _parse_number(name, value), number=True)
         return Condition(
             f"EXISTS (SELECT 1 FROM score_rows t WHERE t.sha256 = o.sha256 AND {test.sql})", test.parameters
         )
@@ -156,7 +159,7 @@ def _compare_field(name: str, operator: str, value: str) -> Condition:
         raise BadParameter(f"query: no field {name!r}; {nearest(name, [*_FIELDS, *SCORE_FIGURES])}; or meta.KEY")
     column = _FIELDS[name]
     if column.removeprefix("o.") in NUMBERS:
-        return _compare(column, operator, _number(name, value), number=True)
+        return _compare(column, operator, _parse_number(name, value), number=True)
     return _compare(column, operator, value, number=False)
 
 
@@ -180,6 +183,7 @@ def _match_label(name: str, value: str) -> Condition:
 
 
 def _compare(column: str, operator: str, value: Any, number: bool) -> Condition:
+    """Return the condition that a column compares with a value in this way; texts without regard to case."""
     if operator in ("~", "!~"):
         test = _CONTAINS.format(f"coalesce({column}, '')")
         return Condition(test if operator == "~" else f"NOT {test}", (str(value),))
@@ -189,13 +193,14 @@ def _compare(column: str, operator: str, value: Any, number: bool) -> Condition:
     return Condition(f"coalesce({column}, '') {_SQL[operator]} ? COLLATE NOCASE", (value,))
 
 
-def _tag_condition(operator: str, value: str) -> Condition:
+def _match_tag(operator: str, value: str) -> Condition:
+    """Return the condition that the object has a tag like this."""
     test = _compare("t.tag", operator.removeprefix("!") or operator, value, number=False)
     exists = f"EXISTS (SELECT 1 FROM tags t WHERE t.sha256 = o.sha256 AND {test.sql})"
     return Condition(f"NOT {exists}" if operator.startswith("!") else exists, test.parameters)
 
 
-def _within(table: str, key_column: str, key: str, test: Condition) -> Condition:
+def _match_row(table: str, key_column: str, key: str, test: Condition) -> Condition:
     """Return a condition on the row of another table that belongs to the object and has this key."""
     return Condition(
         f"EXISTS (SELECT 1 FROM {table} t WHERE t.sha256 = o.sha256 AND t.{key_column} = ? AND {test.sql})",
@@ -204,6 +209,7 @@ def _within(table: str, key_column: str, key: str, test: Condition) -> Condition
 
 
 def _is_number(value: str) -> bool:
+    """Return whether a value reads as a number."""
     try:
         float(value)
     except ValueError:
@@ -211,7 +217,8 @@ def _is_number(value: str) -> bool:
     return True
 
 
-def _number(name: str, value: str) -> float:
+def _parse_number(name: str, value: str) -> float:
+    """Return a value as a number; raises :class:`BadParameter` with an example."""
     try:
         return float(value)
     except ValueError:

@@ -72,7 +72,7 @@ def now() -> str:
 def record_to_bytes(record: Record) -> bytes:
     """Return the JSON of a record, with its checksum."""
     plain = {"format": _FORMAT, **asdict(record), "tags": sorted(record.tags), "metadata": dict(record.metadata)}
-    return (json.dumps({**plain, "check": _check(plain)}, indent=1, ensure_ascii=True) + "\n").encode()
+    return (json.dumps({**plain, "check": _hash_plain(plain)}, indent=1, ensure_ascii=True) + "\n").encode()
 
 
 def record_from_bytes(data: bytes, where: str) -> Record:
@@ -82,7 +82,7 @@ def record_from_bytes(data: bytes, where: str) -> Record:
         check, written_format = plain.pop("check"), plain["format"]
         if written_format != _FORMAT:
             raise BadFile(f"{where}: is a record of format {written_format}; install a newer stillpoint")
-        if check != _check(plain):
+        if check != _hash_plain(plain):
             raise ValueError("its checksum differs")
         del plain["format"]
         record = Record(**{**plain, "tags": tuple(plain["tags"])})
@@ -93,5 +93,5 @@ def record_from_bytes(data: bytes, where: str) -> Record:
     return record
 
 
-def _check(plain: Mapping[str, object]) -> str:
+def _hash_plain(plain: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(plain, sort_keys=True, ensure_ascii=True).encode()).hexdigest()

@@ -17,6 +17,7 @@ class Copies:
     """Where sound copies may be: another archive, or any folder of files."""
 
     def __init__(self, place: str | Path) -> None:
+        """Open the place of copies; raises :class:`BadParameter` where there is no such folder."""
         self.storage: Storage = storage_at(place)
         if isinstance(self.storage, FolderStorage) and not self.storage.root.is_dir():
             raise BadParameter(f"--from {place}: there is no such folder; name another archive or a folder of files")
@@ -25,7 +26,7 @@ class Copies:
     def find_object(self, record: Record) -> Path | None:
         """Return a file with the bytes of this object: its hash is the right one."""
         candidates = [self.storage.path(record.object_key)] if self.storage.has(record.object_key) else []
-        for path in [*candidates, *self._files_of_size(record.size)]:
+        for path in [*candidates, *self._find_files(record.size)]:
             try:
                 if hash_file(path) == record.sha256:
                     return path
@@ -43,7 +44,8 @@ class Copies:
         except BadFile:
             return None
 
-    def _files_of_size(self, size: int) -> list[Path]:
+    def _find_files(self, size: int) -> list[Path]:
+        """Return the files of this size below the folder, which is listed once."""
         if not isinstance(self.storage, FolderStorage):
             return []
         if self._by_size is None:
@@ -88,6 +90,7 @@ def _find_record(archive: Archive, sha256: str, copies: Copies | None) -> Record
 
 
 def _repair_object(archive: Archive, fault: Fault, copies: Copies | None) -> str | None:
+    """Restore a damaged or missing object; return what was done, or None where no intact copy is known."""
     try:
         record = archive.read_record(fault.sha256) if fault.sha256 else None
     except StillpointError:

@@ -78,7 +78,7 @@ def select_items(archive: Archive, query: str, allow_unlicensed: bool = False, a
             f"{', '.join(bare[:5])}{more}: no licence; state it (stillpoint archive tag ID --set licence='CC BY 4.0'), "
             "or give --allow-unlicensed"
         )
-    paths = _paths(entries)
+    paths = _choose_paths(entries)
     return [
         Item(
             entry=entry,
@@ -98,10 +98,11 @@ def _licences_of(archive: Archive, entry: Entry) -> tuple[str, ...]:
     They are, in this order: its metadata ``licence``, what the file says, those of everything that it was made from;
     for a source file, those of the recordings made from it.
     """
-    return tuple(sorted(_licences(archive, entry, set())))
+    return tuple(sorted(_find_licences(archive, entry, set())))
 
 
-def _licences(archive: Archive, entry: Entry, seen: set[str]) -> set[str]:
+def _find_licences(archive: Archive, entry: Entry, seen: set[str]) -> set[str]:
+    """Return the licences of an object: its own, else those of what it was made from; ``seen`` ends loops."""
     seen.add(entry.sha256)
     stated = archive.labels(entry.sha256)[1].get(_LICENCE_KEY) or entry.columns.get("licence")
     if stated:
@@ -109,10 +110,11 @@ def _licences(archive: Archive, entry: Entry, seen: set[str]) -> set[str]:
     near: Iterable[Entry] = [kept for _, parent in archive.parents(entry.sha256) if (kept := archive.entry(parent))]
     if entry.kind == "source":
         near = archive.children(entry.sha256)
-    return {licence for one in near if one.sha256 not in seen for licence in _licences(archive, one, seen)}
+    return {licence for one in near if one.sha256 not in seen for licence in _find_licences(archive, one, seen)}
 
 
 def _add_ancestors(archive: Archive, found: dict[str, Entry]) -> None:
+    """Add to the selection all objects from which its objects were made."""
     left = list(found)
     while left:
         for _, parent in archive.parents(left.pop()):
@@ -133,7 +135,7 @@ def _add_descendants(archive: Archive, found: dict[str, Entry]) -> None:
                 left.append(child.sha256)
 
 
-def _paths(entries: Sequence[Entry]) -> Mapping[str, str]:
+def _choose_paths(entries: Sequence[Entry]) -> Mapping[str, str]:
     """Return a path in the bundle for each object: a folder per kind, the name of the file, made unlike any other."""
     paths: dict[str, str] = {}
     taken: set[str] = set()

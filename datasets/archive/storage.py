@@ -155,6 +155,6 @@ def storage_at(place: str | Path) -> Storage:
 
 
 def read_key(storage: Storage, key: str) -> bytes:
-    """All bytes under a key; raises ``OSError`` or :class:`BadFile`."""
+    """Return all bytes under a key; raises ``OSError`` or :class:`BadFile`."""
     with storage.open(key) as file:
         return file.read()

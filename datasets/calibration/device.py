@@ -56,23 +56,24 @@ def write_device(path: Path, device: DeviceFile) -> None:
 
     The MCAP file holds the text as its attachment, and the matrices in a metadata record, which any MCAP tool shows.
     """
-    text = _write_text(device)
+    text = _format_text(device)
     with write_atomically(path) as file:
         file.write(text)
     shown = {
         "kind": _KIND,
         "sensor": device.sensor,
-        "gyro_matrix": _rows(device.gyro_matrix),
-        "gyro_matrix_sd": _rows(device.gyro_matrix_sd),
-        "accel_matrix": _rows(device.accel_matrix),
-        "accel_matrix_sd": _rows(device.accel_matrix_sd),
-        "accel_bias_b_mps2": _rows(device.accel_bias_b_mps2),
-        "accel_bias_sd_mps2": _rows(device.accel_bias_sd_mps2),
+        "gyro_matrix": _format_rows(device.gyro_matrix),
+        "gyro_matrix_sd": _format_rows(device.gyro_matrix_sd),
+        "accel_matrix": _format_rows(device.accel_matrix),
+        "accel_matrix_sd": _format_rows(device.accel_matrix_sd),
+        "accel_bias_b_mps2": _format_rows(device.accel_bias_b_mps2),
+        "accel_bias_sd_mps2": _format_rows(device.accel_bias_sd_mps2),
     }
     write_mcap(path.with_suffix(".mcap"), [], {_RECORD: shown}, {path.name: text})
 
 
-def _write_text(device: DeviceFile) -> bytes:
+def _format_text(device: DeviceFile) -> bytes:
+    """Return the calibration as TOML, with comments about its use."""
     known = [date for date in device.dates if date]
     warm = [value for value in device.temperature_degc if np.isfinite(value)]
     lines = [
@@ -85,20 +86,20 @@ def _write_text(device: DeviceFile) -> bytes:
         f"temperature_degc = [{', '.join(repr(float(value)) for value in warm)}]  # empty: not known",
         "",
         "[gyro]",
-        f"matrix = {_rows(device.gyro_matrix)}",
-        f"matrix_sd = {_rows(device.gyro_matrix_sd)}",
+        f"matrix = {_format_rows(device.gyro_matrix)}",
+        f"matrix_sd = {_format_rows(device.gyro_matrix_sd)}",
         "",
         "[accel]",
-        f"matrix = {_rows(device.accel_matrix)}",
-        f"matrix_sd = {_rows(device.accel_matrix_sd)}",
-        f"bias_mps2 = {_rows(device.accel_bias_b_mps2)}",
-        f"bias_sd_mps2 = {_rows(device.accel_bias_sd_mps2)}  # from recording to recording",
+        f"matrix = {_format_rows(device.accel_matrix)}",
+        f"matrix_sd = {_format_rows(device.accel_matrix_sd)}",
+        f"bias_mps2 = {_format_rows(device.accel_bias_b_mps2)}",
+        f"bias_sd_mps2 = {_format_rows(device.accel_bias_sd_mps2)}  # from recording to recording",
         "",
         "[made_from]",
         *(f"{_quote(name)} = {_quote(digest)}" for name, digest in device.made_from.items()),
     ]
     for one in device.drift:
-        lines += ["", "[[recording]]", *(f"{key} = {_value(value)}" for key, value in one.items())]
+        lines += ["", "[[recording]]", *(f"{key} = {_format_value(value)}" for key, value in one.items())]
     return ("\n".join(lines) + "\n").encode()
 
 
@@ -111,12 +112,12 @@ def read_device(path: Path) -> DeviceFile:
         gyro, accel = given["gyro"], given["accel"]
         return DeviceFile(
             sensor=str(given["sensor"]),
-            gyro_matrix=_array(gyro["matrix"], (3, 3)),
-            gyro_matrix_sd=_array(gyro["matrix_sd"], (3, 3)),
-            accel_matrix=_array(accel["matrix"], (3, 3)),
-            accel_matrix_sd=_array(accel["matrix_sd"], (3, 3)),
-            accel_bias_b_mps2=_array(accel["bias_mps2"], (3,)),
-            accel_bias_sd_mps2=_array(accel["bias_sd_mps2"], (3,)),
+            gyro_matrix=_make_array(gyro["matrix"], (3, 3)),
+            gyro_matrix_sd=_make_array(gyro["matrix_sd"], (3, 3)),
+            accel_matrix=_make_array(accel["matrix"], (3, 3)),
+            accel_matrix_sd=_make_array(accel["matrix_sd"], (3, 3)),
+            accel_bias_b_mps2=_make_array(accel["bias_mps2"], (3,)),
+            accel_bias_sd_mps2=_make_array(accel["bias_sd_mps2"], (3,)),
             dates=(str(given["first_date"]), str(given["last_date"])),
             temperature_degc=tuple(float(value) for value in given["temperature_degc"]),
             made_from={str(name): str(digest) for name, digest in given["made_from"].items()},
@@ -138,18 +139,19 @@ def _read_text(path: Path) -> str:
     return attached[0].decode()
 
 
-def _array(values: Any, shape: tuple[int, ...]) -> Floats:
+def _make_array(values: Any, shape: tuple[int, ...]) -> Floats:
+    """Return values as an array of this shape; raises ``ValueError`` for another shape or for non-finite values."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"a matrix has the shape {array.shape} or is not finite; {shape} is needed")
     return array
 
 
-def _rows(values: Floats) -> str:
+def _format_rows(values: Floats) -> str:
     return repr(np.asarray(values).tolist())
 
 
-def _value(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return _quote(value) if isinstance(value, str) else repr(value)
 
 

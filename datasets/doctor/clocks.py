@@ -47,23 +47,24 @@ def check_clocks(recording: Recording) -> list[Finding]:
 
 
 def _check_stream(name: str, t_ns: Times) -> list[Finding]:
+    """Return the findings about the stamps (N,) of one stream: rate, unit of time, gaps, bursts and regularity."""
     steps_s = np.diff(t_ns) / 1e9
     median = float(np.median(steps_s))
     mean = float(np.mean(steps_s[steps_s < LONGEST_BURST_S])) if (steps_s < LONGEST_BURST_S).any() else median
     bursts = name in _SAMPLED and median < _BURST_SHARE * mean
     limit = LONGEST_BURST_S if bursts else max(longest_step_ns(t_ns) / 1e9, _GAP_S)
     gaps = steps_s > limit
-    findings = [_rate(name, t_ns, mean if bursts else median), *_check_unit(name, mean if bursts else median)]
+    findings = [_report_rate(name, t_ns, mean if bursts else median), *_check_unit(name, mean if bursts else median)]
     if gaps.any():
-        findings.append(_gaps(name, t_ns, steps_s, gaps))
+        findings.append(_report_gaps(name, t_ns, steps_s, gaps))
     if bursts:
-        findings.append(_bursts(name, median, mean, float(steps_s[~gaps].max())))
+        findings.append(_report_bursts(name, median, mean, float(steps_s[~gaps].max())))
     elif name in _SAMPLED:
-        findings += _regularity(name, steps_s[~gaps], median)
+        findings += _check_regularity(name, steps_s[~gaps], median)
     return findings
 
 
-def _rate(name: str, t_ns: Times, step_s: float) -> Finding:
+def _report_rate(name: str, t_ns: Times, step_s: float) -> Finding:
     seconds = float(t_ns[-1] - t_ns[0]) / 1e9
     message = f"{name}: {1 / step_s:.2f} Hz, {len(t_ns)} samples in {seconds:.1f} s"
     return Finding(f"{name}-rate", "fact", message, values={"rate_hz": 1 / step_s, "duration_s": seconds})
@@ -84,7 +85,8 @@ def _check_unit(name: str, step_s: float) -> list[Finding]:
     return [Finding("imu-clock-units", "error", message, values={"rate_hz": rate})]
 
 
-def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
+def _report_gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
+    """Return the finding about gaps: a warning for the IMU's and the other sampled streams, else a fact."""
     longest = int(np.argmax(steps_s))
     at_s = float(t_ns[longest] - t_ns[0]) / 1e9
     message = (
@@ -100,7 +102,8 @@ def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
     return Finding(f"{name}-gap", "warning", message + advice, values=values)
 
 
-def _bursts(name: str, median: float, mean: float, longest: float) -> Finding:
+def _report_bursts(name: str, median: float, mean: float, longest: float) -> Finding:
+    """Return the finding that stamps come in bursts, with the line through them as its remedy."""
     remedy = Remedy("line", name, f"{name}: evenly spaced stamps by a line through the receipt times")
     message = (
         f"{name}: stamps come in bursts (median step {1e3 * median:.2f} ms, mean {1e3 * mean:.2f} ms, "
@@ -109,8 +112,8 @@ def _bursts(name: str, median: float, mean: float, longest: float) -> Finding:
     return Finding(f"{name}-bursts", "warning", message, remedy, {"median_s": median, "mean_s": mean})
 
 
-def _regularity(name: str, steps_s: Floats, median: float) -> list[Finding]:
-    """Lost samples leave steps at whole multiples of the median, jitter leaves them anywhere."""
+def _check_regularity(name: str, steps_s: Floats, median: float) -> list[Finding]:
+    """Return findings about lost samples, which leave steps at multiples of the median, and about jitter."""
     ratio = steps_s / median
     whole = (ratio > 1.5) & (np.abs(ratio - np.round(ratio)) < 0.2)
     jitter_s = float(steps_s[~whole].std()) if (~whole).any() else 0.0
@@ -136,6 +139,7 @@ def _regularity(name: str, steps_s: Floats, median: float) -> list[Finding]:
 
 
 def _check_overlap(recording: Recording) -> list[Finding]:
+    """Return findings about streams that share no time, or little time, with the IMU."""
     if recording.imu is None:
         return []
     imu_ns = recording.imu.t_ns

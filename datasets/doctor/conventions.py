@@ -129,7 +129,7 @@ class TruthView:
         elif self.frame == "y up":
             turn, text = Rotation.from_euler("x", 90, degrees=True), "truth: world with y up -> z up"
         else:
-            turn = _smallest_turn(self.up_n, np.array([0.0, 0.0, 1.0]))
+            turn = _find_smallest_turn(self.up_n, np.array([0.0, 0.0, 1.0]))
             text = f"truth: world turned by {np.rad2deg(turn.magnitude()):.0f} deg so that gravity is vertical"
         return Remedy("world", "truth", text, tuple(float(value) + 0.0 for value in turn.as_matrix().ravel()))
 
@@ -166,6 +166,7 @@ class TruthView:
         return found
 
     def _report_mounting(self) -> Finding:
+        """Return the fact that the truth's body is turned against the IMU, with angle and axis."""
         rotvec = self.mounting.as_rotvec()
         angle_deg = float(np.rad2deg(np.linalg.norm(rotvec)))
         axis = ", ".join(f"{value:+.2f}" for value in rotvec / np.linalg.norm(rotvec))
@@ -187,17 +188,19 @@ class TruthFits:
     """How well a truth fits gyro and accelerometer under each reading and fault."""
 
     def __init__(self, imu: Imu, truth: Truth) -> None:
+        """Fit the turning of the truth, in each reading of its columns, to the gyro's."""
         self.origin_ns = int(imu.t_ns[0])
         self.gyro = gyro_series(imu, self.origin_ns)
         self.force = vector_series(imu.t_ns, imu.accel_b_mps2, self.origin_ns)
         self.lag_s = self._find_lag(truth)
         self.rates = [self._fit_rates(truth, reading) for reading in _READINGS]  # (losses (2, n), rotations (2, 3, 3))
         self.informative = self._is_informative()
-        self._forces = [self._forces_of(truth, reading) for reading in _READINGS] if self.informative else []
+        self._forces = [self._compute_forces(truth, reading) for reading in _READINGS] if self.informative else []
         self._tables: dict[tuple[int, int], tuple[Floats, Floats]] = {}
         self._views: dict[tuple[int, int], tuple[TruthView, ...]] = {}
 
-    def _spans(self, truth: Truth) -> tuple[Floats, Floats, Floats]:
+    def _find_spans(self, truth: Truth) -> tuple[Floats, Floats, Floats]:
+        """Return start (n,), end (n,) in s and rate (n, 3) of the truth's steps that the gyro covers without a gap."""
         start, end, rate = truth_rates(truth, self.origin_ns)
         inside = (start - REACH_S > self.gyro.t_s[0]) & (end + REACH_S < self.gyro.t_s[-1])
         inside &= ~self.gyro.touches_gap(start - REACH_S, end + REACH_S)
@@ -205,25 +208,26 @@ class TruthFits:
 
     def _find_lag(self, truth: Truth) -> float:
         """Find the lag by the size of the rates, which no convention changes."""
-        start, end, rate = self._spans(truth)
+        start, end, rate = self._find_spans(truth)
         if len(start) < FEWEST:
             return 0.0
         size = np.linalg.norm(rate, axis=1)
         size -= size.mean()
         energy = float(size @ size) + 1e-300
 
-        def loss(lag_s: float) -> Floats:
+        def compute_loss(lag_s: float) -> Floats:
+            """Return the square (n,) of what the truth's turning does not explain of the gyro's at this lag."""
             measured = self.gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
             fast = np.linalg.norm(measured, axis=1)
             fast -= fast.mean()
             return np.asarray((fast - float(size @ fast) / energy * size) ** 2)
 
-        lag = find_lag(loss)
+        lag = find_lag(compute_loss)
         return lag.lag_s if lag is not None and lag.clear else 0.0
 
     def _fit_rates(self, truth: Truth, reading: Reading) -> tuple[Floats, Floats, Floats]:
         """Return losses (2, n) of the best rotation and mirrored rotation to the truth, these, and the null's (n,)."""
-        start, end, rate = self._spans(replace(truth, q_nb=reading.change(truth.q_nb)))
+        start, end, rate = self._find_spans(replace(truth, q_nb=reading.change(truth.q_nb)))
         if len(start) < FEWEST:
             return np.zeros((2, 0)), np.zeros((2, 3, 3)), np.zeros(0)
         measured = self.gyro.smooth_between(start + self.lag_s, end + self.lag_s) / (end - start)[:, None]
@@ -252,7 +256,7 @@ class TruthFits:
         """
         shares, turns = [0.0], (0.0, 0.0)
         for reading in _READINGS:
-            start, end, rate = self._spans(replace(truth, q_nb=reading.change(truth.q_nb)))
+            start, end, rate = self._find_spans(replace(truth, q_nb=reading.change(truth.q_nb)))
             if len(start) < FEWEST:
                 return 0.0, 0.0, 0.0
             measured = self.gyro.smooth_between(start + self.lag_s, end + self.lag_s) / (end - start)[:, None]
@@ -281,7 +285,7 @@ class TruthFits:
         near = table.mean(axis=1) - table.mean(axis=1).min() < MIN_ADVANTAGE
         return np.where(near, 0.0, excess).reshape(len(_READINGS), 2)
 
-    def _forces_of(self, truth: Truth, reading: Reading) -> tuple[Floats, Floats]:
+    def _compute_forces(self, truth: Truth, reading: Reading) -> tuple[Floats, Floats]:
         """Return attitudes (m, 3, 3) at calm times about 0.1 s apart, and the specific force (m, 3) in g there."""
         t_s = (truth.t_ns - self.origin_ns) / 1e9
         kept = np.flatnonzero(np.diff(np.floor(t_s / _FORCE_STEP_S), prepend=-1) > 0)
@@ -296,8 +300,8 @@ class TruthFits:
         calm = np.abs(size / usual - 1) < _NEAR_GRAVITY
         return rotation(reading.change(truth.q_nb[kept[calm]])).as_matrix(), felt[calm] / usual
 
-    def _force_table(self, place: int, parity: int) -> tuple[Floats, Floats]:
-        """Losses (48, m) of the force's constancy in the world, and its mean (48, 3), for each way to turn it first."""
+    def _make_force_table(self, place: int, parity: int) -> tuple[Floats, Floats]:
+        """Return losses (48, m) of a constant force in the world, and its means (48, 3), per signed permutation."""
         if (place, parity) not in self._tables:
             attitude, felt = self._forces[place]
             if len(felt) < FEWEST:
@@ -316,7 +320,7 @@ class TruthFits:
 
         None where the force says nothing: too few calm samples, or translation hides gravity.
         """
-        tables = [self._force_table(place, parity)[0] for place in range(len(_READINGS)) for parity in range(2)]
+        tables = [self._make_force_table(place, parity)[0] for place in range(len(_READINGS)) for parity in range(2)]
         rows = np.concatenate(tables)
         if rows.shape[1] == 0 or rows.mean(axis=1).min() > np.log(_FORCE_NOISE**2 + _WORST_FORCE**2):
             return None
@@ -339,11 +343,12 @@ class TruthFits:
         return self._views[axes]
 
     def _make_views(self, gyro: Floats, accel: Floats) -> Iterator[TruthView]:
+        """Yield the view of each reading of the truth when gyro and accelerometer measure in wrong axes (3, 3)."""
         parity = 0 if np.linalg.det(gyro) > 0 else 1
         turn = index_of(gyro @ accel.T)  # takes measured forces to the axes of the measured rates
         for place, reading in enumerate(_READINGS):
             mounting = self._mountings[place][index_of(gyro)]
-            mean = self._force_table(place, parity)[1][turn]
+            mean = self._make_force_table(place, parity)[1][turn]
             misfit = float(self.rate_misfit[place, parity])
             up_n = np.array([0.0, 0.0, 1.0])
             if self.force_misfit is not None:
@@ -380,7 +385,7 @@ def _scale_to_fit(turned: Floats, target: Floats) -> Floats:
     return max(float((turned * target).sum()) / (float((turned**2).sum()) + 1e-300), 0.0) * turned
 
 
-def _smallest_turn(from_n: Floats, to_n: Floats) -> Rotation:
+def _find_smallest_turn(from_n: Floats, to_n: Floats) -> Rotation:
     """Return the smallest rotation that takes one unit vector to another."""
     axis = np.cross(from_n, to_n)
     sine, cosine = float(np.linalg.norm(axis)), float(from_n @ to_n)

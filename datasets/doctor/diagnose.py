@@ -37,20 +37,20 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     opened with ``units_unchecked``. The recording is not changed: see :func:`~stillpoint.datasets.doctor.apply`.
     """
     case = _Case(recording, np.asarray(rests_ns, dtype=np.int64).reshape(-1, 2))
-    case.run(check_losses)
-    case.run(check_clocks)
-    case.run(check_values)
-    case.run(check_spin)
+    case.run_test(check_losses)
+    case.run_test(check_clocks)
+    case.run_test(check_values)
+    case.run_test(check_spin)
     if recording.imu is None:
-        return case.diagnosis()
+        return case.make_diagnosis()
     if any(finding.code in _UNUSABLE for finding in case.findings):
         case.add_findings(
             [Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")]
         )
-        return case.diagnosis()
-    case.run(check_truth_values)
-    case.run(check_gyro_size)
-    case.run(lambda now: check_gravity(now, case.rests_ns))
+        return case.make_diagnosis()
+    case.run_test(check_truth_values)
+    case.run_test(check_gyro_size)
+    case.run_test(lambda now: check_gravity(now, case.rests_ns))
     witnesses, lag_by_truth = _settle_axes(case)
     mag = next((one for one in witnesses if one.name == "mag" and one.choice is not None), None)
     if case.now.mag is not None:
@@ -59,15 +59,15 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
         case.add_findings(unit)
         mag = _convert_iron(mag, unit)
     case.add_findings(report_tested_axes(witnesses))
-    lag_by_gravity = None if lag_by_truth is not None else _accel_lag(case, witnesses)
+    lag_by_gravity = None if lag_by_truth is not None else _find_accel_lag(case, witnesses)
     lags = {one.name: one.lag for one in witnesses if one.choice is not None}
     case.add_findings(check_lags(case.now, lags.get("truth"), lag_by_truth, lag_by_gravity, lags.get("mag")))
-    case.run(lambda now: check_base_pose(now, case.rests_ns))
+    case.run_test(lambda now: check_base_pose(now, case.rests_ns))
     if case.now.mag is not None:
-        case.run(lambda now: check_field(now, mag, case.rests_ns))
-    case.run(check_steps)
-    case.run(lambda now: check_noise(now, case.rests_ns, witnesses))
-    return case.diagnosis()
+        case.run_test(lambda now: check_field(now, mag, case.rests_ns))
+    case.run_test(check_steps)
+    case.run_test(lambda now: check_noise(now, case.rests_ns, witnesses))
+    return case.make_diagnosis()
 
 
 class _Case:
@@ -77,16 +77,17 @@ class _Case:
         self.now, self.rests_ns = recording, rests_ns
         self.findings: list[Finding] = []
 
-    def run(self, test: Callable[[Recording], Iterable[Finding]]) -> None:
+    def run_test(self, test: Callable[[Recording], Iterable[Finding]]) -> None:
         self.add_findings(test(self.now))
 
     def add_findings(self, findings: Iterable[Finding]) -> None:
+        """Keep findings, and apply their remedies to the recording that later tests see."""
         new = list(findings)
         self.findings += new
         remedies = [finding.remedy for finding in new if finding.remedy is not None]
         self.now = apply(self.now, remedies) if remedies else self.now
 
-    def diagnosis(self) -> Diagnosis:
+    def make_diagnosis(self) -> Diagnosis:
         return Diagnosis(self.now.name, tuple(self.findings))
 
 
@@ -128,7 +129,7 @@ def _ask_sensors(case: _Case) -> list[Witness]:
     """Return what the accelerometer and, where there is one, the magnetometer say of the gyro."""
     imu = case.now.require_imu()
     witnesses = [] if case.now.mag is None else [ask_mag(imu, case.now.mag)]
-    return [ask_accel(imu, _bias(imu, case.rests_ns, witnesses)), *witnesses]
+    return [ask_accel(imu, _find_bias(imu, case.rests_ns, witnesses)), *witnesses]
 
 
 def _compare_truth(case: _Case, verdict: Verdict, witnesses: list[Witness]) -> Lag | None:
@@ -152,15 +153,16 @@ def _convert_iron(mag: Witness | None, findings: list[Finding]) -> Witness | Non
     return mag
 
 
-def _accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:
+def _find_accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:
+    """Return how late the accelerometer is against the gyro; None where its axes or its scale are not known."""
     accel = next((one for one in witnesses if one.name == "accel" and one.choice is not None), None)
     if accel is None or accel.choice is None or accel.scale is None:
         return None
     imu = case.now.require_imu()
-    return accel_lag(imu, _bias(imu, case.rests_ns, witnesses), accel.scale * accel.choice.matrix)
+    return accel_lag(imu, _find_bias(imu, case.rests_ns, witnesses), accel.scale * accel.choice.matrix)
 
 
-def _bias(imu: Imu, rests_ns: Times, witnesses: list[Witness]) -> Floats:
+def _find_bias(imu: Imu, rests_ns: Times, witnesses: list[Witness]) -> Floats:
     """Return the best estimate of the gyro's bias before its axes are known."""
     if len(rests_ns):
         first, last = np.searchsorted(imu.t_ns, rests_ns[0])

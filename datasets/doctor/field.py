@@ -115,8 +115,8 @@ def check_field(recording: Recording, witness: Witness | None, rests_ns: Times) 
         return [Finding("field-not-tested", "fact", message)]
     field = recording.mag.mag_b_ut - (iron if iron is not None else 0.0)
     size = float(np.median(np.linalg.norm(field, axis=1)))
-    findings = [] if iron is None else [_hard_iron(iron, size)]
-    findings.append(_size(field, size))
+    findings = [] if iron is None else [_report_hard_iron(iron, size)]
+    findings.append(_report_size(field, size))
     return findings + _report_dip(find_dips(recording, rests_ns, witness))
 
 
@@ -173,7 +173,8 @@ def check_base_pose(recording: Recording, rests_ns: Times) -> list[Finding]:
     return [Finding("base-pose", "fact", message, values={"angle_deg": angle_deg})]
 
 
-def _hard_iron(iron: Floats, size: float) -> Finding:
+def _report_hard_iron(iron: Floats, size: float) -> Finding:
+    """Return the finding about the hard iron (3,) in µT beside a field of this size, with its offset as remedy."""
     share = float(np.linalg.norm(iron)) / size
     message = f"mag: hard iron ({', '.join(f'{h:.1f}' for h in iron)}) uT beside a field of {size:.1f} uT"
     values = {"hard_iron_ut": float(np.linalg.norm(iron)), "field_ut": size}
@@ -184,7 +185,8 @@ def _hard_iron(iron: Floats, size: float) -> Finding:
     return Finding("hard-iron", "warning", message + "; subtract it", remedy, values)
 
 
-def _size(field: Floats, size: float) -> Finding:
+def _report_size(field: Floats, size: float) -> Finding:
+    """Return the finding about size and constancy of the field (N, 3) in µT, corrected for hard iron."""
     off = np.abs(np.linalg.norm(field, axis=1) / size - 1) > _DISTURBED
     share = float(off.mean())
     message = (

@@ -70,7 +70,7 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Return what is changed when this hypothesis is acted on."""
+        """Return the changes that this hypothesis calls for."""
         return tuple(self.part(name) for name in ("gyro", "accel", "mag", "truth"))
 
     def part(self, sensor: str) -> object:
@@ -110,7 +110,7 @@ def compare_hypotheses(
     found: list[Hypothesis] = []
     of_signs: dict[tuple[int, int], float] = {}  # the same for every fault of the gyro
     for fault in _list_faults("mag" in {one.name for one in witnesses}):
-        misfit = _imu_misfit(fault, excess)
+        misfit = _compute_imu_misfit(fault, excess)
         signs = index_of(fault.accel), index_of(fault.mag)
         if signs not in of_signs:
             of_signs[signs] = _sign_penalty(fault, dips, accel_up)
@@ -120,14 +120,14 @@ def compare_hypotheses(
             continue
         for view in truth.views(fault.gyro, fault.accel):
             total = misfit + view.misfit
-            found.append(Hypothesis(fault, view, total, total + penalty + _truth_penalty(fault, view)))
+            found.append(Hypothesis(fault, view, total, total + penalty + _compute_truth_penalty(fault, view)))
     found.sort(key=lambda one: (one.cost, len(one.fault.corrections)))
     best = found[0]
     rivals = [one for one in found[1:] if one.cost < best.cost + _CLEAR and one.key != best.key]
     return Verdict(best, tuple(rivals))
 
 
-def _truth_penalty(fault: Fault, view: TruthView) -> float:
+def _compute_truth_penalty(fault: Fault, view: TruthView) -> float:
     """Return the nats against a truth in these conventions beside this fault of the sensors.
 
     A cyclic order of the components is the inverse quaternion between two other constant rotations, and a mirrored
@@ -163,7 +163,7 @@ def _count_changed_axes(matrix: Floats) -> int:
     return 1 if np.array_equal(matrix, -_IDENTITY) else complexity(matrix)[0]
 
 
-def _imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
+def _compute_imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
     """Return the nats by which accelerometer and magnetometer fit the gyro worse than they could."""
     total = 0.0
     for name, matrix in (("accel", fault.accel), ("mag", fault.mag)):
@@ -281,6 +281,8 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
 
 
 def _find_common_scale(scales: dict[str, float]) -> tuple[float, list[str]] | None:
+    """Return the factor by which the gyro is wrong and the sensors that show it; None where they do not agree."""
+
     def measure_log(scale: float) -> float:
         return abs(float(np.log(scale)))
 

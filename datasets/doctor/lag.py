@@ -38,12 +38,12 @@ def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
     """Minimise the sum of ``loss(lag_s)`` (n,), the same n windows for every lag; None when it hardly depends on it.
 
     A coarse search over +-0.25 s, then two finer ones, then a parabola. The standard error is a jackknife over ten
-    parts of the recording, or more where the minimum is blunt: see :func:`_unsure_s`.
+    parts of the recording, or more where the minimum is blunt: see :func:`_compute_unsure_s`.
     """
     grids = [np.arange(-REACH_S, REACH_S + _COARSE_S / 2, _COARSE_S)]
     tables: list[Floats] = []
     for search in range(_SEARCHES):
-        table = _table(loss, grids[-1])
+        table = _tabulate_loss(loss, grids[-1])
         if table is None:
             return None
         tables.append(table)
@@ -54,17 +54,20 @@ def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
             step = _COARSE_S / _FINER ** (search + 1)
             grid = grids[-1][int(total.argmin())] + step * np.arange(1 - _FINER, _FINER)
             grids.append(grid[np.abs(grid) <= REACH_S])
-    bounds = _bounds(tables[0])
-    parts = _parts(tables[-1], bounds)
-    best = _bottom(grids[-1], total)
-    without = np.array([_bottom(grids[-1], total - part) for part in parts.T])
+    bounds = _find_bounds(tables[0])
+    parts = _sum_parts(tables[-1], bounds)
+    best = _find_bottom(grids[-1], total)
+    without = np.array([_find_bottom(grids[-1], total - part) for part in parts.T])
     jackknife = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((without - without.mean()) ** 2)))
     lowest = parts[int(total.argmin())]
-    unsure = max(_unsure_s(grid - best, _parts(one, bounds) - lowest) for grid, one in zip(grids, tables, strict=True))
+    unsure = max(
+        _compute_unsure_s(grid - best, _sum_parts(one, bounds) - lowest)
+        for grid, one in zip(grids, tables, strict=True)
+    )
     return Lag(best, max(jackknife, unsure / _SIGMAS))
 
 
-def _unsure_s(away_s: Floats, more: Floats) -> float:
+def _compute_unsure_s(away_s: Floats, more: Floats) -> float:
     """Return how far from the best lag the loss is not yet clearly larger, by the scatter of its excess (L, BLOCKS).
 
     Around a smooth minimum the excess grows as d^2 and its scatter as d: it is half as many standard errors above zero
@@ -74,23 +77,24 @@ def _unsure_s(away_s: Floats, more: Floats) -> float:
     return float(np.abs(away_s[more.sum(axis=1) <= _SIGMAS / 2 * scatter]).max(initial=0.0))
 
 
-def _bounds(table: Floats) -> Times:
+def _find_bounds(table: Floats) -> Times:
     """Return where the parts of the recording meet, (BLOCKS - 1,), so that each shows as much of the lag."""
     told = np.cumsum(np.ptp(table, axis=0))
     return np.searchsorted(told / told[-1], np.linspace(0, 1, _BLOCKS + 1)[1:-1])
 
 
-def _parts(table: Floats, bounds: Times) -> Floats:
+def _sum_parts(table: Floats, bounds: Times) -> Floats:
     """Return sums (L, BLOCKS) of losses (L, n) over the parts of the recording."""
     return np.stack([part.sum(axis=1) for part in np.split(table, bounds, axis=1)], axis=1)
 
 
-def _table(loss: Callable[[float], Floats | None], grid: Floats) -> Floats | None:
+def _tabulate_loss(loss: Callable[[float], Floats | None], grid: Floats) -> Floats | None:
+    """Return the losses (L, n) at the lags of a grid (L,) in s; None where one of them has none."""
     rows = [loss(float(lag_s)) for lag_s in grid]
     return None if any(row is None for row in rows) else np.array(rows)
 
 
-def _bottom(grid: Floats, total: Floats) -> float:
+def _find_bottom(grid: Floats, total: Floats) -> float:
     """Return Vertex of a parabola through the points around the smallest."""
     around = slice(max(0, int(total.argmin()) - 3), int(total.argmin()) + 4)
     if len(grid[around]) < 4:
@@ -109,7 +113,7 @@ def check_lags(
 
     ``gyro`` and ``accel_by_truth`` are against the truth, the others against the gyro.
     """
-    findings = [] if gyro is None else [_gyro_against_truth(recording, gyro)]
+    findings = [] if gyro is None else [_report_gyro_against_truth(recording, gyro)]
     if accel_by_truth is not None and gyro is not None:
         both = Lag(accel_by_truth.lag_s - gyro.lag_s, (accel_by_truth.sd_s**2 + gyro.sd_s**2) ** 0.5)
         findings.append(_report_gyro_lag("accel", "accelerometer", both, 2 * _TRUTH_S, "by way of the truth"))
@@ -120,34 +124,37 @@ def check_lags(
     return findings
 
 
-def _gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
-    """The rate at a stamp is late by half a step more than the attitude, as a sample describes the step before."""
+def _report_gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
+    """Return the finding about the lag of the truth against the gyro.
+
+    The rate at a stamp is late by half a step more than the attitude, as a sample describes the step before."""
     half_s = 0.5 / rate_hz(recording.require_imu().t_ns)
     values = {"lag_s": lag.lag_s + half_s, "sd_s": lag.sd_s, "half_step_s": half_s, "shift_s": lag.lag_s}
     message = (
-        f"gyro: stamps are {_ms(lag.lag_s + half_s)} late (+) against the truth, +-{1e3 * lag.sd_s:.1f} ms; "
+        f"gyro: stamps are {_format_ms(lag.lag_s + half_s)} late (+) against the truth, +-{1e3 * lag.sd_s:.1f} ms; "
         f"half a step ({1e3 * half_s:.1f} ms) of it is the convention that a sample describes the step before its stamp"
     )
     if abs(lag.lag_s) < _TRUTH_S + _SIGMAS * lag.sd_s:
         return Finding("gyro-truth-lag", "fact", message + ", so nothing is to be shifted", None, values)
-    remedy = Remedy("shift", "truth", f"truth shifted by {_ms(lag.lag_s)}", (lag.lag_s,))
-    advice = f"; {_ms(lag.lag_s)} remain: shift the truth by them"
+    remedy = Remedy("shift", "truth", f"truth shifted by {_format_ms(lag.lag_s)}", (lag.lag_s,))
+    advice = f"; {_format_ms(lag.lag_s)} remain: shift the truth by them"
     return Finding("gyro-truth-lag", "warning", message + advice, remedy, values)
 
 
 def _report_gyro_lag(sensor: str, name: str, lag: Lag, systematic_s: float, how: str) -> Finding:
+    """Return the finding about a lag against the gyro; it is a fault when it is clearly above its errors."""
     values = {"lag_s": lag.lag_s, "sd_s": lag.sd_s, "systematic_s": systematic_s}
     message = (
-        f"{sensor}: the {name}'s stamps are {_ms(lag.lag_s)} late (+) against the gyro's {how}, "
+        f"{sensor}: the {name}'s stamps are {_format_ms(lag.lag_s)} late (+) against the gyro's {how}, "
         f"+-{1e3 * lag.sd_s:.1f} ms (and up to {1e3 * systematic_s:.0f} ms from motion and surroundings)"
     )
     code = f"{sensor}-gyro-lag"
     doubtful = abs(lag.lag_s) > 0.9 * REACH_S
     if doubtful or abs(lag.lag_s) < systematic_s + _SIGMAS * lag.sd_s:
         return Finding(code, "fact", message, None, values)
-    remedy = Remedy("shift", sensor, f"{sensor} shifted by {_ms(-lag.lag_s)}", (-lag.lag_s,))
-    return Finding(code, "warning", message + f"; shift it by {_ms(-lag.lag_s)}", remedy, values)
+    remedy = Remedy("shift", sensor, f"{sensor} shifted by {_format_ms(-lag.lag_s)}", (-lag.lag_s,))
+    return Finding(code, "warning", message + f"; shift it by {_format_ms(-lag.lag_s)}", remedy, values)
 
 
-def _ms(seconds: float) -> str:
+def _format_ms(seconds: float) -> str:
     return f"{1e3 * seconds:+.1f} ms"

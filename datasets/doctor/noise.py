@@ -33,10 +33,10 @@ def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witne
     for name, t_ns, values in columns:
         still = is_inside(t_ns, spans)
         if still.sum() >= _FEWEST_SAMPLES:
-            findings.append(_noise(name, values, still, rate_hz(t_ns), where))
+            findings.append(_report_noise(name, values, still, rate_hz(t_ns), where))
     if not findings:
         findings.append(Finding("noise-not-tested", "fact", "noise: not tested, as nothing rests"))
-    return findings + _bias(recording, rests_ns, witnesses)
+    return findings + _report_bias(recording, rests_ns, witnesses)
 
 
 def white_noise(values: Floats, still: np.ndarray) -> Floats:
@@ -51,7 +51,8 @@ def white_noise(values: Floats, still: np.ndarray) -> Floats:
     return np.asarray(MEDIAN_DEVIATION_TO_SD * np.median(np.abs(third[run]), axis=0) / np.sqrt(20.0))
 
 
-def _noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str) -> Finding:
+def _report_noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str) -> Finding:
+    """Return the finding about the white noise of a sensor (N, 3) over its still samples (N,)."""
     sd = white_noise(values, still)
     density = float(np.max(sd) / np.sqrt(rate))
     factor, unit = _UNITS[name]
@@ -67,7 +68,8 @@ def _noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str
     return Finding(f"{name}-noise", "fact", message, values=values_out)
 
 
-def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
+def _report_bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
+    """Return the finding about the gyro's bias: from rest, else by the truth, else by the magnetometer."""
     imu = recording.require_imu()
     still = is_inside(imu.t_ns, rests_ns)
     how, bias = "at rest", None
@@ -98,11 +100,11 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
 
 def calm_seconds(imu: Imu) -> Times:
     """Return the first and last stamps of whole seconds in which the smoothed specific force keeps still, (S, 2)."""
-    tenth = _bins(imu.t_ns, _SMOOTH_S)
-    first, mean = _means(tenth, imu.accel_b_mps2)
+    tenth = _number_bins(imu.t_ns, _SMOOTH_S)
+    first, mean = _average_bins(tenth, imu.accel_b_mps2)
     second = tenth[first] // round(1 / _SMOOTH_S)
-    starts, middle = _means(second, mean)
-    _, square = _means(second, mean**2)
+    starts, middle = _average_bins(second, mean)
+    _, square = _average_bins(second, mean**2)
     spread = np.sqrt(np.maximum((square - middle**2).sum(axis=1), 0.0))
     whole = np.diff(starts, append=len(second)) == round(1 / _SMOOTH_S)
     calm = np.flatnonzero(whole & (spread < _CALM_SPREAD * np.linalg.norm(middle, axis=1)))
@@ -110,11 +112,11 @@ def calm_seconds(imu: Imu) -> Times:
     return np.stack([imu.t_ns[first[starts[calm]]], imu.t_ns[ends[calm]]], axis=1)
 
 
-def _bins(t_ns: Times, width_s: float) -> Times:
+def _number_bins(t_ns: Times, width_s: float) -> Times:
     return np.asarray((t_ns - t_ns[0]) // int(width_s * 1e9))
 
 
-def _means(bins: Times, values: Floats) -> tuple[NDArray[np.intp], Floats]:
+def _average_bins(bins: Times, values: Floats) -> tuple[NDArray[np.intp], Floats]:
     """Start of each run of equal bins, and the mean over it."""
     starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
     counts = np.diff(starts, append=len(bins))

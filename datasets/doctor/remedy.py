@@ -25,7 +25,7 @@ def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
     """
     recording = replace(recording, info=replace(recording.info, units_unchecked=True))
     for remedy in remedies:
-        changed, note = _change(recording, remedy)
+        changed, note = _apply_one(recording, remedy)
         line = f"doctor: {remedy.text}" + (f" ({note})" if note else "")
         info = replace(changed.info, conversions=(*changed.info.conversions, line))
         recording = replace(changed, info=info)
@@ -61,7 +61,8 @@ def _replace_stream(recording: Recording, stream: str, value: Imu | Mag | Truth 
     return replace(recording, **changed)
 
 
-def _change(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _apply_one(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Return the recording with one remedy applied and a note; raises :class:`BadParameter` where it does not fit."""
     if remedy.kind not in _KINDS:
         raise BadParameter(f"no remedy {remedy.kind!r}; there are {', '.join(_KINDS)}")
     stream = "imu" if remedy.target in _SENSORS else remedy.target
@@ -70,7 +71,8 @@ def _change(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     return _KINDS[remedy.kind](recording, remedy)
 
 
-def _values(recording: Recording, target: str) -> Floats:
+def _get_values(recording: Recording, target: str) -> Floats:
+    """Return the vectors (N, 3) of a sensor; raises :class:`BadParameter` for a stream that has none."""
     if target == "mag":
         assert recording.mag is not None
         return recording.mag.mag_b_ut
@@ -80,6 +82,7 @@ def _values(recording: Recording, target: str) -> Floats:
 
 
 def _replace_values(recording: Recording, target: str, values: Floats) -> Recording:
+    """Return the recording with other vectors (N, 3) of a sensor."""
     if target == "mag":
         assert recording.mag is not None
         return replace(recording, mag=replace(recording.mag, mag_b_ut=values))
@@ -88,21 +91,23 @@ def _replace_values(recording: Recording, target: str, values: Floats) -> Record
     return replace(recording, imu=changed)
 
 
-def _matrix(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _multiply(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Multiply the vectors of a sensor by the remedy's matrix; turn the body of the truth by its inverse."""
     matrix = np.reshape(remedy.values, (3, 3))
     if remedy.target == "truth":
         assert recording.truth is not None
         turned = rotation(recording.truth.q_nb) * Rotation.from_matrix(matrix.T)
         return replace(recording, truth=replace(recording.truth, q_nb=quaternion(turned))), ""
-    return _replace_values(recording, remedy.target, _values(recording, remedy.target) @ matrix.T), ""
+    return _replace_values(recording, remedy.target, _get_values(recording, remedy.target) @ matrix.T), ""
 
 
-def _offset(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
-    values = _values(recording, remedy.target) - np.asarray(remedy.values)
+def _subtract_offset(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    values = _get_values(recording, remedy.target) - np.asarray(remedy.values)
     return _replace_values(recording, remedy.target, values), ""
 
 
-def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _shift_stream(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Shift the stamps of a stream, or of one sensor of the IMU; samples before time 0 are dropped and counted."""
     by_ns = round(remedy.values[0] * 1e9)
     if remedy.target in _SENSORS:
         return _shift_within_imu(recording, remedy.target, by_ns)
@@ -110,11 +115,11 @@ def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     keep = stream.t_ns + by_ns >= 0
     lost = len(keep) - int(keep.sum())
     note = f"{lost} samples before time 0 dropped" if lost else ""
-    return _replace_stream(recording, remedy.target, _rows(stream, keep, stream.t_ns + by_ns)), note
+    return _replace_stream(recording, remedy.target, _select_rows(stream, keep, stream.t_ns + by_ns)), note
 
 
 def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Recording, str]:
-    """Gyro and accelerometer share a clock, so one of them is interpolated at the other's stamps."""
+    """Shift gyro or accelerometer. They share a clock, so one is interpolated at the other's stamps."""
     imu = recording.require_imu()
     source_ns = imu.t_ns - by_ns
     keep = (source_ns >= imu.t_ns[0]) & (source_ns <= imu.t_ns[-1])
@@ -129,7 +134,8 @@ def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Re
     return replace(recording, imu=Imu(imu.t_ns[keep], moved["gyro_b_radps"], moved["accel_b_mps2"])), note
 
 
-def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _straighten_stamps(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Put a line through the stamps of each stretch without gaps; the note says how far they move."""
     stream = getattr(recording, remedy.target)
     even = line_through(stream.t_ns)
     note = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
@@ -137,40 +143,44 @@ def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     return _replace_stream(recording, remedy.target, replace(stream, t_ns=even)), note
 
 
-def _drop(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _drop_spans(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Drop the samples within the remedy's spans (pairs of first and last stamp)."""
     stream = getattr(recording, remedy.target)
     keep = np.ones(len(stream.t_ns), dtype=np.bool_)
     for first, last in np.reshape(remedy.values, (-1, 2)):
         keep &= (stream.t_ns < first) | (stream.t_ns > last)
-    return _keep(recording, remedy.target, keep)
+    return _keep_rows(recording, remedy.target, keep)
 
 
 def _drop_repeats(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Drop the samples that repeat the one before."""
     if remedy.target == "imu":
         imu = recording.require_imu()
         same = repeats(np.hstack([imu.gyro_b_radps, imu.accel_b_mps2]))
     else:
-        same = repeats(_values(recording, remedy.target))
-    return _keep(recording, remedy.target, ~same)
+        same = repeats(_get_values(recording, remedy.target))
+    return _keep_rows(recording, remedy.target, ~same)
 
 
-def _keep(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recording, str]:
+def _keep_rows(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recording, str]:
+    """Keep the samples of a mask (N,); raises :class:`BadParameter` where none would be left."""
     if not keep.any():
         raise BadParameter(
             f"{recording.name}: the remedy would drop every sample of {target}; leave it out (--skip CODE)"
         )
     note = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
     stream = getattr(recording, target)
-    return _replace_stream(recording, target, _rows(stream, keep, stream.t_ns)), note
+    return _replace_stream(recording, target, _select_rows(stream, keep, stream.t_ns)), note
 
 
-def _rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:
+def _select_rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:
     columns = {name: value[keep] for name, value in vars(stream).items() if isinstance(value, np.ndarray)}
     return replace(stream, **(columns | {"t_ns": t_ns[keep]}))
 
 
-def _interpolate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
-    imu, values = recording.require_imu(), _values(recording, remedy.target)
+def _interpolate_held(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Replace values that repeat the one before by a line between their neighbours."""
+    imu, values = recording.require_imu(), _get_values(recording, remedy.target)
     held = repeats(values)
     seconds = (imu.t_ns - imu.t_ns[0]) / 1e9
     filled = np.stack([np.interp(seconds, seconds[~held], column[~held]) for column in values.T], axis=1)
@@ -181,22 +191,23 @@ def _drop_stream(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     return _replace_stream(recording, remedy.target, None), ""
 
 
-def _conjugate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _conjugate_truth(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, q_nb=recording.truth.q_nb * [1.0, -1.0, -1.0, -1.0])), ""
 
 
-def _reorder(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _reorder_truth(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, q_nb=from_xyzw(recording.truth.q_nb))), ""
 
 
-def _reorder_back(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _reorder_truth_back(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, q_nb=to_xyzw(recording.truth.q_nb))), ""
 
 
 def _turn_world(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Turn the world of the truth, attitudes and positions, by the remedy's matrix."""
     truth = recording.truth
     assert truth is not None
     turn = Rotation.from_matrix(np.reshape(remedy.values, (3, 3)))
@@ -205,7 +216,8 @@ def _turn_world(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     return replace(recording, truth=changed), ""
 
 
-def _mirror(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+def _mirror_axis(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Mirror one axis of the truth's world: attitudes and positions."""
     truth = recording.truth
     assert truth is not None
     signs = np.ones(3)
@@ -216,17 +228,17 @@ def _mirror(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
 
 
 _KINDS: dict[str, Callable[[Recording, Remedy], tuple[Recording, str]]] = {
-    "matrix": _matrix,
-    "offset": _offset,
-    "shift": _shift,
-    "line": _line,
-    "drop": _drop,
+    "matrix": _multiply,
+    "offset": _subtract_offset,
+    "shift": _shift_stream,
+    "line": _straighten_stamps,
+    "drop": _drop_spans,
     "drop-repeats": _drop_repeats,
-    "interpolate": _interpolate,
+    "interpolate": _interpolate_held,
     "drop-stream": _drop_stream,
-    "conjugate": _conjugate,
-    "reorder": _reorder,
-    "reorder-back": _reorder_back,
+    "conjugate": _conjugate_truth,
+    "reorder": _reorder_truth,
+    "reorder-back": _reorder_truth_back,
     "world": _turn_world,
-    "mirror": _mirror,
+    "mirror": _mirror_axis,
 }

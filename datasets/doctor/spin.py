@@ -22,8 +22,8 @@ def check_spin(recording: Recording) -> Iterator[Finding]:
     spin = recording.spin
     if spin is None:
         return
-    yield from _values(spin, ~np.isfinite(spin.accel_mps2), "missing", "hold no value")
-    yield from _values(
+    yield from _check_values(spin, ~np.isfinite(spin.accel_mps2), "missing", "hold no value")
+    yield from _check_values(
         spin, find_saturated(spin), "saturated", "lie at the end of the stated range; they are never used"
     )
     try:
@@ -34,12 +34,12 @@ def check_spin(recording: Recording) -> Iterator[Finding]:
         return
     if by.misplaced:
         yield Finding("spin-misplaced", "warning", f"spin: {'; '.join(by.misplaced)}")
-    yield from _radial(spin, by, recording.encoder)
+    yield from _check_radial(spin, by, recording.encoder)
     if recording.encoder is not None:
-        yield from _tangential(spin, by, recording.encoder)
+        yield from _check_tangential(spin, by, recording.encoder)
 
 
-def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator[Finding]:
+def _check_values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator[Finding]:
     """Return how many values of each accelerometer are lost or saturated."""
     counts = of.sum(axis=0)
     if not counts.any():
@@ -50,7 +50,7 @@ def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator
     yield Finding(f"spin-{what}", severity, f"spin: values that {text}: {listed}", values={"share": share})
 
 
-def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[Finding]:
+def _check_radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[Finding]:
     """Yield findings where the squared rate is not positive, or not the encoder's."""
     samples = measure(spin, by)
     squared = samples.omega_squared_radps2[samples.omega_squared_valid]
@@ -77,7 +77,7 @@ def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[F
         yield Finding("spin-scale", "warning", message, values={"scale": scale})
 
 
-def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Finding]:
+def _check_tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Finding]:
     """Yield a finding where accelerometers and encoder give angular accelerations of opposite sign."""
     if len(encoder.t_ns) < 20:
         return
@@ -88,7 +88,7 @@ def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Find
     middle_ns = 0.5 * (encoder.t_ns[1:] + encoder.t_ns[:-1])
     turning = np.diff(encoder.rate_radps) / (np.diff(encoder.t_ns) / 1e9)
     seen = np.interp(middle_ns, spin.t_ns[known], samples.omega_dot_radps2[known])
-    alike = _correlation(seen, turning, np.interp(middle_ns, encoder.t_ns, encoder.angle_rad))
+    alike = _compute_correlation(seen, turning, np.interp(middle_ns, encoder.t_ns, encoder.angle_rad))
     if alike < -_CERTAIN / np.sqrt(len(seen)) and alike < -0.1:
         message = (
             f"spin: the tangential accelerometer contradicts the encoder (correlation {alike:.2f}): reverse its sign"
@@ -96,7 +96,7 @@ def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Find
         yield Finding("spin-tangential-sign", "error", message, values={"correlation": alike})
 
 
-def _correlation(seen: Floats, turning: Floats, angle_rad: Floats) -> float:
+def _compute_correlation(seen: Floats, turning: Floats, angle_rad: Floats) -> float:
     """Return the correlation without the harmonics of the angle: on a tilted shaft, gravity makes harmonics."""
     harmonics = np.column_stack([np.ones(len(angle_rad)), np.cos(angle_rad), np.sin(angle_rad)])
     rest = [one - harmonics @ np.linalg.lstsq(harmonics, one, rcond=None)[0] for one in (seen, turning)]

@@ -36,12 +36,13 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
     def average_at_lag(lag_s: float) -> Floats:
         return gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
 
-    def loss(lag_s: float) -> Floats:
+    def compute_loss(lag_s: float) -> Floats:
+        """Return the square (n,) of the mean rates that no linear map of the truth's rates explains."""
         rates = average_at_lag(lag_s)
         fit = np.linalg.lstsq(known, rates, rcond=None)[0]
         return np.asarray(((rates - known @ fit) ** 2).sum(axis=1))
 
-    lag = find_lag(loss)
+    lag = find_lag(compute_loss)
     moving = stands_out(np.linalg.norm(rate, axis=1))
     rates, rate = average_at_lag(lag.lag_s if lag else 0.0)[moving], rate[moving]
     turned, target = rates - np.median(rates, axis=0), rate - np.median(rate, axis=0)
@@ -82,7 +83,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
         return None
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
-    at_s, expected, swing = _truth_forces(truth, origin)
+    at_s, expected, swing = _compute_truth_forces(truth, origin)
     half = _FORCE_WINDOW_S / 2
     inside = (at_s - half - REACH_S > force.t_s[0]) & (at_s + half + REACH_S < force.t_s[-1])
     inside &= ~force.touches_gap(at_s - half - REACH_S, at_s + half + REACH_S)
@@ -99,7 +100,8 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     axes = np.einsum("ki,nj->nkij", np.eye(3), expected).reshape(-1, 3, 9)
     columns = np.concatenate([axes, swing, eye], axis=2)
 
-    def loss(lag_s: float) -> Floats:
+    def compute_loss(lag_s: float) -> Floats:
+        """Return the robust loss (n,) of the specific force at this lag."""
         felt = average_at_lag(lag_s)
         weight = np.ones(len(felt))
         for _ in range(2):
@@ -107,10 +109,10 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
             weight = 1 / (1 + (residual / usual) ** 2) ** 2
         return np.asarray(np.log1p((residual / usual) ** 2))
 
-    return find_lag(loss)
+    return find_lag(compute_loss)
 
 
-def _truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
+def _compute_truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
     """Return times in s, specific force in body axes (n, 3), and what one metre of arm adds to it, (n, 3, 3).
 
     The force is gravity and the second difference of the positions; the arm's is that of the attitudes.
@@ -150,6 +152,7 @@ def check_truth_values(recording: Recording) -> list[Finding]:
 
 
 def _check_frozen(imu: Imu, truth: Truth) -> list[Finding]:
+    """Return the finding that the truth stands still for a while although the gyro turns."""
     away = np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1)
     turning = np.concatenate([[0], np.cumsum(away > _HELD_RADPS)])
     same = repeats(truth.q_nb)
@@ -173,6 +176,7 @@ def _check_frozen(imu: Imu, truth: Truth) -> list[Finding]:
 
 
 def _check_odometry(recording: Recording, truth: Truth) -> list[Finding]:
+    """Return the finding that the truth is odometry, by the source's word or by roll and pitch of exactly zero."""
     noted = any("is odometry" in note and "not taken" not in note for note in recording.info.notes)
     planar = bool((np.abs(truth.q_nb[:, 1:3]) < 1e-9).all()) and bool(np.ptp(truth.q_nb[:, 3]) > 0)
     if not noted and not planar:

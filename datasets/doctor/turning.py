@@ -65,15 +65,16 @@ class Series:
 
 def gyro_series(imu: Imu, origin_ns: int) -> Series:
     """Return the turn that the gyro measured: a sample describes the step that ends at its stamp."""
-    return _series(imu.t_ns, imu.gyro_b_radps, origin_ns, imu.gyro_b_radps[1:])
+    return _make_series(imu.t_ns, imu.gyro_b_radps, origin_ns, imu.gyro_b_radps[1:])
 
 
 def vector_series(t_ns: Times, values: Floats, origin_ns: int) -> Series:
     """Return vectors that hold at their stamps."""
-    return _series(t_ns, values, origin_ns, 0.5 * (values[1:] + values[:-1]))
+    return _make_series(t_ns, values, origin_ns, 0.5 * (values[1:] + values[:-1]))
 
 
-def _series(t_ns: Times, values: Floats, origin_ns: int, over_step: Floats) -> Series:
+def _make_series(t_ns: Times, values: Floats, origin_ns: int, over_step: Floats) -> Series:
+    """Return the running integral of values (N, 3) over steps (N - 1, 3), on seconds since the origin."""
     t_s = (t_ns - origin_ns) / 1e9
     steps = np.diff(t_s)
     median = float(np.median(steps))
@@ -128,9 +129,9 @@ class Grid:
         self._turns = _sum_cumulatively(self.turn)
         turned = self._turns[self.last] - self._turns[self.first]
         size = np.linalg.norm(turned - np.median(turned, axis=0), axis=1) if len(turned) else np.zeros(0)
-        self._keep(stands_out(size))
+        self._thin_windows(stands_out(size))
 
-    def _keep(self, rows: NDArray[np.bool_]) -> None:
+    def _thin_windows(self, rows: NDArray[np.bool_]) -> None:
         stride = max(1, int(rows.sum()) // _MOST_WINDOWS)
         self.first, self.last = self.first[rows][::stride], self.last[rows][::stride]
 
@@ -161,6 +162,7 @@ def stands_out(size: Floats) -> NDArray[np.bool_]:
 
 
 def _sum_cumulatively(values: Floats) -> Floats:
+    """Return the sums (N + 1, k) of the first 0 to N rows."""
     total = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=total[1:])
     return total

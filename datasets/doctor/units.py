@@ -30,7 +30,7 @@ def check_gyro_size(recording: Recording) -> list[Finding]:
     message = f"gyro: reaches {fastest:.4g} rad/s, more than any MEMS gyro measures"
     if factor * fastest > FASTEST_GYRO_RADPS:
         return [Finding("gyro-units", "error", message + ", and no unit explains it; find out its unit")]
-    remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _scaling(factor))
+    remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _make_scaling(factor))
     return [Finding("gyro-units", "error", message + f": it is in deg/s; multiply by {factor:.6g}", remedy)]
 
 
@@ -53,7 +53,7 @@ def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
         return [Finding("gravity-size", "warning", message + advice, values=values)]
     for unit, factor in _UNITS_OF_FORCE.items():
         if abs(np.log(size * factor / STANDARD_GRAVITY_MPS2)) < np.log(1 + tolerance):
-            remedy = Remedy("matrix", "accel", f"accel * {factor:.6g} ({unit} -> m/s^2)", _scaling(factor))
+            remedy = Remedy("matrix", "accel", f"accel * {factor:.6g} ({unit} -> m/s^2)", _make_scaling(factor))
             message = f"accel: {size:.4g} {where}, not 9.8 m/s^2: it is in {unit}; multiply by {factor:.6g}"
             return [Finding("accel-units", "error", message, remedy, values)]
     message = f"accel: {size:.4g} {where}, not 9.8 m/s^2, and no unit explains it; find out its unit"
@@ -77,11 +77,11 @@ def check_field_unit(recording: Recording, hard_iron_b_ut: Floats | None) -> lis
         return []
     for unit, factor in _UNITS_OF_FIELD.items():
         if _FIELD_UNIT_UT[0] <= size * factor <= _FIELD_UNIT_UT[1]:
-            remedy = Remedy("matrix", "mag", f"mag * {factor:g} ({unit} -> uT)", _scaling(factor))
+            remedy = Remedy("matrix", "mag", f"mag * {factor:g} ({unit} -> uT)", _make_scaling(factor))
             message = f"mag: the field is {size:.4g} {how}, not 20-70 uT: it is in {unit}; multiply by {factor:g}"
             return [Finding("mag-units", "error", message, remedy, values)]
     return []
 
 
-def _scaling(factor: float) -> tuple[float, ...]:
+def _make_scaling(factor: float) -> tuple[float, ...]:
     return (factor, 0.0, 0.0, 0.0, factor, 0.0, 0.0, 0.0, factor)

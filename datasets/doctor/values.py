@@ -46,7 +46,7 @@ class _Sensor:
 def check_values(recording: Recording) -> list[Finding]:
     """Return what is wrong with the values of each sensor, whatever their unit."""
     findings: list[Finding] = []
-    for sensor in _sensors(recording):
+    for sensor in _list_sensors(recording):
         if len(sensor.t_ns) < 10:
             continue
         stuck = _find_stuck(sensor)
@@ -61,10 +61,11 @@ def check_values(recording: Recording) -> list[Finding]:
 
 def check_steps(recording: Recording) -> list[Finding]:
     """Find values in steps so coarse that slow motion hides between them; for a recording whose units are right."""
-    return [finding for sensor in _sensors(recording) for finding in _find_coarse_steps(sensor)]
+    return [finding for sensor in _list_sensors(recording) for finding in _find_coarse_steps(sensor)]
 
 
-def _sensors(recording: Recording) -> list[_Sensor]:
+def _list_sensors(recording: Recording) -> list[_Sensor]:
+    """Return the sensors of a recording with a mask (N,) of the samples during which their values must change."""
     sensors = []
     if recording.imu is not None:
         imu = recording.imu
@@ -99,6 +100,7 @@ def _share_around(mask: NDArray[np.bool_], width: int) -> Floats:
 
 
 def _find_stuck(sensor: _Sensor) -> list[Finding]:
+    """Return the finding that axes of a sensor never change."""
     still = [k for k in range(sensor.values.shape[1]) if (sensor.values[:, k] == sensor.values[0, k]).all()]
     if not still:
         return []
@@ -114,6 +116,7 @@ def _find_stuck(sensor: _Sensor) -> list[Finding]:
 
 
 def _find_clipping(sensor: _Sensor) -> list[Finding]:
+    """Return findings about axes that rest on an extreme value in motion: the end of the sensor's range."""
     findings = []
     for k, name in enumerate(sensor.axes):
         column = sensor.values[:, k]
@@ -141,6 +144,7 @@ def _find_clipping(sensor: _Sensor) -> list[Finding]:
 
 
 def _find_frozen(sensor: _Sensor) -> list[Finding]:
+    """Return the finding that all axes repeat the same value for a while in motion."""
     same = repeats(sensor.values)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     first, last = edges[::2], edges[1::2] - 1  # of the repeating samples; the one before is genuine
@@ -162,6 +166,7 @@ def _find_frozen(sensor: _Sensor) -> list[Finding]:
 
 
 def _find_held(sensor: _Sensor, recording: Recording) -> list[Finding]:
+    """Return the finding that values are repeated between samples: the sensor is slower than its stamps."""
     if sensor.stream == "spin" or sensor.moving.sum() < 20:
         return []
     same = repeats(sensor.values)
@@ -205,6 +210,7 @@ def _get_other_sensor(sensor: str, recording: Recording) -> Floats:
 
 
 def _find_coarse_steps(sensor: _Sensor) -> list[Finding]:
+    """Return the finding that the sensor's values come in steps too coarse for its signal."""
     if sensor.name not in _COARSE:
         return []
     steps = [_find_converter_step(column) for column in sensor.values.T]
@@ -219,7 +225,7 @@ def _find_coarse_steps(sensor: _Sensor) -> list[Finding]:
 
 
 def _find_converter_step(column: Floats) -> float:
-    """The step of the converter: the smallest difference between values that all differ by whole steps, else 0."""
+    """Return the converter's step: the smallest difference where all differences are multiples of it, else 0."""
     levels = np.unique(column)
     if len(levels) < 2 or len(levels) > 0.5 * len(column):
         return 0.0
@@ -232,7 +238,7 @@ def _find_converter_step(column: Floats) -> float:
 
 
 def _merge_imu(findings: list[Finding]) -> list[Finding]:
-    """Gyro and accelerometer share their rows: what both ask for is done once."""
+    """Merge equal remedies of gyro and accelerometer, which share their rows, into one."""
     seen: set[tuple[str, str]] = set()
     merged = []
     for finding in findings:

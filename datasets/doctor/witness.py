@@ -41,6 +41,7 @@ _CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro a
 
 
 def _list_signed_permutations() -> Floats:
+    """Return the 48 signed permutations of three axes (48, 3, 3), the simplest first."""
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -122,7 +123,7 @@ def excess_over_best(loss: Floats, overlap: float) -> Floats:
 
 
 def _is_worse(difference: Floats, overlap: float) -> bool:
-    """Is the first of two candidates clearly worse, by the differences of their losses over the windows?"""
+    """Return whether the first of two candidates is clearly worse, by differences (n,) of their losses."""
     error = difference.std() * np.sqrt(overlap / len(difference))
     nats = difference.sum() / overlap
     return bool(difference.mean() > _TIE_SIGMA * error or nats > _TIE_NATS)
@@ -150,12 +151,12 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     grid = Grid(gyro_series(imu, origin), field, REACH_S)
     if len(grid) < FEWEST_WINDOWS:
         return Witness("mag", None)
-    rough = find_lag(_robust_loss(grid, lambda at: at.design(np.zeros(3))))
+    rough = find_lag(_make_robust_loss(grid, lambda at: at.design(np.zeros(3))))
     at = grid.at_lag(rough.lag_s if rough and rough.clear else 0.0)
-    centre = _sphere_centre(mag.mag_b_ut)
+    centre = _find_sphere_centre(mag.mag_b_ut)
     weight = robust_solve(at.design(centre), at.change, np.ones(len(grid)))[2]
     fits = [_fit(at, matrix, centre, weight) for matrix in CANDIDATES]
-    _, null = solve(_bias_columns(at, centre), at.change, weight)
+    _, null = solve(_make_bias_columns(at, centre), at.change, weight)
     noise = min(float(np.median(residual)) for _, residual in fits)
     floor = noise**2 + (_CALIBRATION * np.linalg.norm(at.change, axis=1)) ** 2 + 1e-300
     nothing = np.log(null**2 + floor)
@@ -166,9 +167,9 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
         return Witness("mag", None)
 
     matrix = choice.matrix
-    lag = find_lag(_robust_loss(grid, lambda at: _columns(at, matrix, centre)))
+    lag = find_lag(_make_robust_loss(grid, lambda at: _make_columns(at, matrix, centre)))
     at = grid.at_lag(lag.lag_s if lag and lag.clear else 0.0)
-    found, _, _ = robust_solve(_columns(at, matrix, centre), at.change, np.ones(len(grid)), rounds=2)
+    found, _, _ = robust_solve(_make_columns(at, matrix, centre), at.change, np.ones(len(grid)), rounds=2)
     bias = -matrix.T @ found[1:4] / found[0]
     return Witness("mag", choice, float(found[0]), lag, bias, centre + found[4:7] / found[0])
 
@@ -183,21 +184,22 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     seen = swings.at_lag(0.0)
     floor = _HAND_TREMOR_M**2
 
-    def loss(matrices: Floats) -> Floats:
+    def compute_loss(matrices: Floats) -> Floats:
+        """Return the log loss (K, n) of each matrix and window."""
         return np.log(displacement(seen, matrices) + floor)
 
-    nothing = loss(np.zeros((1, 3, 3)))[0]
-    usual = float(_STEPS_OF_SCALE[int(loss(_STEPS_OF_SCALE[:, None, None] * np.eye(3)).mean(axis=1).argmin())])
+    nothing = compute_loss(np.zeros((1, 3, 3)))[0]
+    usual = float(_STEPS_OF_SCALE[int(compute_loss(_STEPS_OF_SCALE[:, None, None] * np.eye(3)).mean(axis=1).argmin())])
     for scale in (1.0, np.pi / 180, usual):
-        losses = loss(scale * CANDIDATES)
+        losses = compute_loss(scale * CANDIDATES)
         choice = choose(losses, nothing, overlap=1.0)
         if choice is not None:
             break
     if choice is None:
-        return Witness("accel", None, losses=(loss(CANDIDATES) - nothing).sum(axis=1))
+        return Witness("accel", None, losses=(compute_loss(CANDIDATES) - nothing).sum(axis=1))
     for factors in (_STEPS_OF_SCALE, _STEPS_OF_SCALE**0.1):
         scales = scale * factors
-        scale = float(scales[int(loss(scales[:, None, None] * choice.matrix).sum(axis=1).argmin())])
+        scale = float(scales[int(compute_loss(scales[:, None, None] * choice.matrix).sum(axis=1).argmin())])
     return Witness("accel", choice, scale, losses=(losses - nothing).sum(axis=1))
 
 
@@ -214,7 +216,7 @@ def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
     return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), attitudes) / usual))
 
 
-def _sphere_centre(vectors: Floats) -> Floats:
+def _find_sphere_centre(vectors: Floats) -> Floats:
     """Return the centre of the sphere closest to the points (n, 3): the hard iron, where all directions were seen."""
     middle = vectors.mean(axis=0)
     around = vectors - middle
@@ -223,7 +225,7 @@ def _sphere_centre(vectors: Floats) -> Floats:
     return np.asarray(middle + centre)
 
 
-def _robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Callable[[float], Floats]:
+def _make_robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Callable[[float], Floats]:
     """Return the loss of a lag when the vector's change is linear in ``columns``.
 
     Each lag weighs its windows anew. Weights found at one lag would leave out the windows that fit badly there, and so
@@ -231,27 +233,28 @@ def _robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Callable[[
     """
     size: list[float] = []
 
-    def loss(lag_s: float) -> Floats:
+    def compute_loss(lag_s: float) -> Floats:
+        """Return the robust loss (n,) of the best fit at this lag; the first call sets the scale of its residuals."""
         at = grid.at_lag(lag_s)
         _, residual, _ = robust_solve(columns(at), at.change, np.ones(len(grid)), rounds=2)
         if not size:
             size.append(3 * float(np.median(residual)) + 1e-300)  # wide, so that no valley beside the true one stays
         return np.asarray(np.log1p((residual / size[0]) ** 2))
 
-    return loss
+    return compute_loss
 
 
-def _bias_columns(at: Windows, centre: Floats) -> Floats:
+def _make_bias_columns(at: Windows, centre: Floats) -> Floats:
     return np.asarray(np.einsum("kli,nl->nki", LEVI_CIVITA, at.mean_dt - centre * at.length_s))
 
 
-def _columns(at: Windows, matrix: Floats, centre: Floats) -> Floats:
-    """Columns (n, 3, 7) of scale, scale * bias (3) and scale * (hard iron - centre) (3), when the axes are known."""
+def _make_columns(at: Windows, matrix: Floats, centre: Floats) -> Floats:
+    """Return columns (n, 3, 7) for scale, scale * bias (3) and scale * (hard iron - centre) (3), for known axes."""
     turned = at.predict_change(matrix, centre)[:, :, None]
     iron = -np.einsum("kli,ni->nkl", LEVI_CIVITA, at.turn @ matrix.T)
-    return np.concatenate([turned, _bias_columns(at, centre), iron], axis=2)
+    return np.concatenate([turned, _make_bias_columns(at, centre), iron], axis=2)
 
 
 def _fit(at: Windows, matrix: Floats, centre: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Return the unknowns of :func:`_columns`, and the residual of each window (n,)."""
-    return solve(_columns(at, matrix, centre), at.change, weight)
+    """Return the unknowns of :func:`_make_columns`, and the residual of each window (n,)."""
+    return solve(_make_columns(at, matrix, centre), at.change, weight)

@@ -21,22 +21,22 @@ def tables_of(thing: Recording | Piece | Reference | SpinReference | Estimate) -
     The sensors' columns are called as ``stillpoint stream`` reads them.
     """
     if isinstance(thing, Recording | Piece):
-        return _streams(thing)
+        return _list_tables(thing)
     table: Table = {"t_ns": thing.t_ns}
     if isinstance(thing, Reference) and thing.position_n_m is not None:
         assert thing.velocity_n_mps is not None
         assert thing.position_cov_n_m2 is not None
         assert thing.velocity_cov_n_m2ps2 is not None
-        table |= _columns([f"{axis}_m" for axis in _XYZ], thing.position_n_m)
-        table |= _columns([f"v{axis}_mps" for axis in _XYZ], thing.velocity_n_mps)
+        table |= _name_columns([f"{axis}_m" for axis in _XYZ], thing.position_n_m)
+        table |= _name_columns([f"v{axis}_mps" for axis in _XYZ], thing.velocity_n_mps)
         table |= {f"cov_{_XYZ[i]}{_XYZ[j]}_m2": thing.position_cov_n_m2[:, i, j] for i, j in _UPPER}
         table |= {f"cov_v{_XYZ[i]}v{_XYZ[j]}_m2ps2": thing.velocity_cov_n_m2ps2[:, i, j] for i, j in _UPPER}
     if not isinstance(thing, SpinReference) and thing.q_nb is not None:
-        table |= _columns(_WXYZ, thing.q_nb)
+        table |= _name_columns(_WXYZ, thing.q_nb)
         if thing.cov_b_rad2 is not None:
             table |= {f"cov_{_XYZ[i]}{_XYZ[j]}_rad2": thing.cov_b_rad2[:, i, j] for i, j in _UPPER}
         if thing.gyro_bias_b_radps is not None:
-            table |= _columns([f"gyro_bias_{axis}_radps" for axis in _XYZ], thing.gyro_bias_b_radps)
+            table |= _name_columns([f"gyro_bias_{axis}_radps" for axis in _XYZ], thing.gyro_bias_b_radps)
     for name in ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps", "ready"):
         column = getattr(thing, name, None)
         table |= {} if column is None else {name: column}
@@ -61,25 +61,26 @@ def format_csv_rows(table: Table) -> Iterator[str]:
         yield "\n".join([*map(",".join, rows), ""])
 
 
-def _streams(recording: Recording | Piece) -> Mapping[str, Table]:
+def _list_tables(recording: Recording | Piece) -> Mapping[str, Table]:
+    """Return one table per stream of a recording or a piece of it, in SI units."""
     tables: dict[str, Table] = {}
     if (imu := recording.imu) is not None:
         columns = np.hstack([imu.gyro_b_radps, imu.accel_b_mps2])
-        tables["imu"] = {"t_ns": imu.t_ns, **_columns(("gx", "gy", "gz", "ax", "ay", "az"), columns)}
+        tables["imu"] = {"t_ns": imu.t_ns, **_name_columns(("gx", "gy", "gz", "ax", "ay", "az"), columns)}
     if (mag := recording.mag) is not None:
-        tables["mag"] = {"t_ns": mag.t_ns, **_columns(("mx", "my", "mz"), mag.mag_b_ut)}
+        tables["mag"] = {"t_ns": mag.t_ns, **_name_columns(("mx", "my", "mz"), mag.mag_b_ut)}
     if (gps := recording.gps) is not None:
         names = ("t_ns", "lat_deg", "lon_deg", "alt_m", "course_rad", "speed_mps", "valid")
         tables["gps"] = {name: getattr(gps, name) for name in names}
     if recording.spin is not None:
-        tables["spin"] = _spin(recording.spin)
+        tables["spin"] = _make_spin_table(recording.spin)
     if (truth := recording.truth) is not None:
-        tables["truth"] = {"t_ns": truth.t_ns, **_columns(_WXYZ, truth.q_nb)}
+        tables["truth"] = {"t_ns": truth.t_ns, **_name_columns(_WXYZ, truth.q_nb)}
         if truth.position_n_m is not None:
-            tables["truth"] |= _columns(("x_m", "y_m", "z_m"), truth.position_n_m)
+            tables["truth"] |= _name_columns(("x_m", "y_m", "z_m"), truth.position_n_m)
         tables["truth"]["moving"] = truth.moving
     for name, series in recording.extra.items():
-        tables[f"extra.{name}"] = {"t_ns": series.t_ns, **_columns(series.labels, series.values)}
+        tables[f"extra.{name}"] = {"t_ns": series.t_ns, **_name_columns(series.labels, series.values)}
     shafts: dict[str, Encoder | None] = {"encoder": recording.encoder, "roll_truth": recording.roll_truth}
     for name, shaft in shafts.items():
         if shaft is not None:
@@ -87,12 +88,13 @@ def _streams(recording: Recording | Piece) -> Mapping[str, Table]:
     return tables
 
 
-def _spin(spin: Spin) -> Table:
+def _make_spin_table(spin: Spin) -> Table:
+    """Return stamps, accelerometers a1, a2 … and gyros g1, g2 … of a spin stream."""
     table = {"t_ns": spin.t_ns}
     for letter, values in (("a", spin.accel_mps2), ("g", spin.gyro_radps)):
-        table |= _columns([f"{letter}{k + 1}" for k in range(values.shape[1])], values)
+        table |= _name_columns([f"{letter}{k + 1}" for k in range(values.shape[1])], values)
     return table
 
 
-def _columns(names: "list[str] | tuple[str, ...]", values: Floats) -> Table:
+def _name_columns(names: "list[str] | tuple[str, ...]", values: Floats) -> Table:
     return dict(zip(names, values.T, strict=True))

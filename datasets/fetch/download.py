@@ -99,6 +99,7 @@ def read_pinned_sums(source: Source) -> dict[str, str]:
 
 
 def _fetch_file(store: "Pooch", path: str, downloader: "HTTPDownloader", base: str) -> None:
+    """Download one file, and check its SHA-256; raises :class:`BadSource` or :class:`BadParameter`."""
     from requests.exceptions import RequestException
 
     try:

@@ -109,6 +109,7 @@ def _remove_stale_parts_once(folder: Path) -> int:
 
 
 def _make_part_name(name: str) -> str:
+    """Return the name of the part of a file: hidden, unique, and with host and process that write it."""
     pid = os.getpid()
     kept = name[:120]  # the whole must stay within the 255 bytes of a file name
     return f".{kept}.{secrets.token_hex(3)}.{_get_host()}.{pid}.{_read_start(pid)}{_SUFFIX}"

@@ -91,6 +91,7 @@ class RangedFile(io.RawIOBase):
     """A remote file that fetches exactly the ranges that are read, and counts their bytes."""
 
     def __init__(self, path: Path | str) -> None:
+        """Open a URL, and ask for its size; raises :class:`BadFile`."""
         super().__init__()
         self.url = url_of(path)
         self._fs, self._path = open_url(path)
@@ -105,6 +106,7 @@ class RangedFile(io.RawIOBase):
             return b""
 
         def attempt() -> bytes:
+            """Ask for the bytes once; raises ``OSError`` where fewer come."""
             self.requests += 1
             data: bytes = self._fs.cat_file(self._path, start=start, end=end)
             self.bytes_fetched += len(data)
@@ -128,7 +130,7 @@ class RangedFile(io.RawIOBase):
         return self._position
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Go to another place; nothing is fetched."""
+        """Move to another place; nothing is fetched."""
         base = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self.size}[whence]
         self._position = max(base + offset, 0)
         return self._position
@@ -141,6 +143,7 @@ class RangedFile(io.RawIOBase):
         return len(data)
 
     def _retry(self, attempt: Any) -> Any:
+        """Return what a call gives, with growing pauses between attempts; raises :class:`BadFile` after the last."""
         for k in range(_ATTEMPTS):
             try:
                 return attempt()

@@ -42,7 +42,7 @@ class ResultStore:
     def get(self, key: str) -> Result | None:
         """Return the result of a key; None when it is missing or unreadable."""
         try:
-            with np.load(self._path(key), allow_pickle=False) as file:
+            with np.load(self._locate(key), allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             return Result(json.loads(bytes(arrays.pop(_FACTS))), arrays)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
@@ -51,7 +51,7 @@ class ResultStore:
     def facts(self, key: str) -> Mapping[str, Any] | None:
         """Return the facts of a key without its arrays; None when it is missing or unreadable."""
         try:
-            with np.load(self._path(key), allow_pickle=False) as file:
+            with np.load(self._locate(key), allow_pickle=False) as file:
                 found: Mapping[str, Any] = json.loads(bytes(file[_FACTS]))
                 return found
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
@@ -60,7 +60,7 @@ class ResultStore:
     def put(self, key: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None) -> None:
         """Keep a result; raises :class:`BadParameter` when the folder cannot be written."""
         text = np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)
-        place = self._path(key)
+        place = self._locate(key)
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
             with write_atomically(place) as file:
@@ -69,14 +69,14 @@ class ResultStore:
             raise BadParameter(f"{place.parent}: cannot be written ({error.strerror}); name another folder") from None
 
     def clear(self) -> None:
-        """Forget all results; raises :class:`BadParameter` when the folder cannot be changed."""
+        """Delete all results; raises :class:`BadParameter` when the folder cannot be changed."""
         try:
             for file in self.folder.glob("*.npz"):
                 file.unlink(missing_ok=True)
         except OSError as error:
             raise BadParameter(f"{self.folder}: cannot be changed ({error.strerror}); name another folder") from None
 
-    def _path(self, key: str) -> Path:
+    def _locate(self, key: str) -> Path:
         return self.folder / f"{key}.npz"
 
 

@@ -38,7 +38,7 @@ def find_bench(source: Path) -> list[Path]:
 def read_bench(folder: Path, options: Options) -> Imported:
     """Return the log of a folder. Raises :class:`BadSource`."""
     log = Log()
-    received = {name: _rows(folder / name) for name in _WHAT}
+    received = {name: _load_rows(folder / name) for name in _WHAT}
     # The log starts with a backlog that drains over seconds: the first samples were taken before the first receipt.
     fitted = {name: fit_even_times(rows[0], _WHAT[name], log) for name, rows in received.items()}
     early_s = max(0.0, -min(float(t_s[0]) for t_s in fitted.values()))
@@ -69,7 +69,7 @@ def read_bench(folder: Path, options: Options) -> Imported:
     return Imported(Recording(folder.name, imu=merge_imu(gyro, accel, str(folder), log), mag=mag, info=info))
 
 
-def _rows(path: Path) -> Floats:
+def _load_rows(path: Path) -> Floats:
     """Return the one array of a file, (4, N): time in s, x, y, z."""
     if not path.is_file():
         raise BadSource(f"{path.parent}: has no {path.name}; the log is not whole: download it again")

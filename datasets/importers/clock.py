@@ -77,6 +77,7 @@ def parse_times(
 
 
 def _parse_number(cell: str, exponent: int) -> int:
+    """Return a cell as whole nanoseconds, exactly; raises ``ValueError`` for text, and beyond 2038."""
     value = Decimal(cell.strip()).scaleb(9 + exponent)
     if not abs(value) <= LAST_T_NS + 1_000_000_000:  # also NaN; the size is tested before a long integer is made
         raise ValueError("beyond 2038")

@@ -115,6 +115,7 @@ def split(text: str, default: str) -> tuple[str, str]:
 
 
 def _parse_columns(written: str, count: int, flag: str, unit: Scale) -> Columns:
+    """Return the columns that a flag names, a minus for a turned axis; raises :class:`BadParameter`."""
     parts = [part.strip() for part in written.split(",")]
     if len(parts) != count or not all(part.lstrip("-") for part in parts):
         raise BadParameter(f"{flag} {written!r}: names {len(parts)} columns, not {count}; write them as A,B,C")

@@ -152,7 +152,7 @@ class _Reading:
             return None
         units, target = _SENSORS[what]
         columns = parse_columns(text, f"--{what}", units)
-        clock = self._clock(what)
+        clock = self._read_clock(what)
         series = read_sensor(self.table, clock, columns, what, f"--{what}", self.options, self.log)
         self.log.add_conversion(f"{what} {columns.written} {columns.unit.written} -> {target}{columns.flipped}")
         return series
@@ -167,7 +167,7 @@ class _Reading:
         values = np.full((len(self.table.rows), 5), np.nan)
         values[:, : len(names)] = self.table.floats(names)
         values = values[:, [0, 1, 2, 4, 3]]
-        clock = self._clock("gps")
+        clock = self._read_clock("gps")
         keep = np.isfinite(values[:, :2]).all(axis=1) & clock.known
         # Loggers repeat the last fix on the rows between two fixes.
         changed = np.ones(int(keep.sum()), dtype=np.bool_)
@@ -194,7 +194,7 @@ class _Reading:
         else:
             return None
         known = find_finite_rows(q_nl)
-        clock = self._clock("truth")
+        clock = self._read_clock("truth")
         if not known.all():
             self.log.add_note(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
         known &= clock.known
@@ -217,7 +217,7 @@ class _Reading:
         position_n_m = series.values[:, 4:7] if self.options.position is not None else None
         return Truth(series.t_ns, series.values[:, :4], series.values[:, 7] > 0, position_n_m)
 
-    def _clock(self, what: str) -> Clock:
+    def _read_clock(self, what: str) -> Clock:
         time = getattr(self.options, f"{what}_time")
         return read_clock(self.table, self.options, self.log, time, f"--{what}-time" if time else "--time")
 

@@ -30,7 +30,7 @@ def read_csv_pieces(file: Path, options: CsvOptions) -> LongRecording | None:
     if any(one is not None for one in others):
         return None
     try:
-        return _read(file, given)
+        return _read_long(file, given)
     except BadSource as error:
         if isinstance(error.__cause__, BadRecording):
             raise
@@ -39,7 +39,8 @@ def read_csv_pieces(file: Path, options: CsvOptions) -> LongRecording | None:
         return None
 
 
-def _read(file: Path, options: CsvOptions) -> LongRecording:
+def _read_long(file: Path, options: CsvOptions) -> LongRecording:
+    """Read a log piece by piece; raises :class:`NotInPiecesError` for one that has to be in memory whole."""
     log, found = Log(), Collector(file.stem, options)
     rows, lost = 0, dict.fromkeys(("gyro", "accel", "mag"), 0)
     for table in _list_tables(file, options, log):

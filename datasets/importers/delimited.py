@@ -108,14 +108,15 @@ class Table:
         values = np.empty((len(self.rows), len(places)))
         for begin in range(0, len(self.rows), _ROWS_AT_ONCE):
             rows = [
-                self._pick(row, places, begin + k) for k, row in enumerate(self.rows[begin : begin + _ROWS_AT_ONCE])
+                self._pick_cells(row, places, begin + k)
+                for k, row in enumerate(self.rows[begin : begin + _ROWS_AT_ONCE])
             ]
             part = values[begin : begin + len(rows)]
             try:
                 part[:] = np.array(rows, dtype=np.float64)
             except ValueError:
                 part[:] = [
-                    [self._number(cell, begin + k, column) for cell, column in zip(row, columns, strict=True)]
+                    [self._parse_number(cell, begin + k, column) for cell, column in zip(row, columns, strict=True)]
                     for k, row in enumerate(rows)
                 ]
         return values
@@ -137,9 +138,9 @@ class Table:
 
     def cells(self, place: int) -> list[str]:
         """Return the text of a column; raises :class:`BadSource` for a row that ends before it."""
-        return [self._pick(row, [place], k)[0] for k, row in enumerate(self.rows)]
+        return [self._pick_cells(row, [place], k)[0] for k, row in enumerate(self.rows)]
 
-    def _pick(self, row: list[str], places: list[int], number: int) -> list[str]:
+    def _pick_cells(self, row: list[str], places: list[int], number: int) -> list[str]:
         """Return some cells of a row with decimal points; raises :class:`BadSource` where the row is too short."""
         try:
             cells = [row[place] for place in places]
@@ -151,7 +152,8 @@ class Table:
             ) from None
         return [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
 
-    def _number(self, cell: str, row: int, column: str) -> float:
+    def _parse_number(self, cell: str, row: int, column: str) -> float:
+        """Return a cell as a number, NaN for a blank one; raises :class:`BadSource` with line and column."""
         if cell.strip().lower() in BLANK:
             return np.nan
         try:
@@ -183,12 +185,12 @@ def parse(text: str, where: str, delimiter: str | None = None) -> Table:
     width = Counter(len(row) for row in cells[-_SAMPLED:]).most_common(1)[0][0]
     decimal_comma = delimiter != "," and "," in "".join(cells[-1])
     start = next((k for k, row in enumerate(cells) if len(row) == width), 0)
-    if start and not _holds_number(cells[start - 1], decimal_comma) and abs(len(cells[start - 1]) - width) <= 1:
+    if start and not _has_number(cells[start - 1], decimal_comma) and abs(len(cells[start - 1]) - width) <= 1:
         start -= 1  # a header with one name more or less than the rows have cells
     names, first = _find_header(cells, start, decimal_comma)
     if names is None:
         before = range(numbers[start] - 1)
-        names = next((row for k in reversed(before) if (row := _comment_names(lines[k], delimiter, width))), None)
+        names = next((row for k in reversed(before) if (row := _find_comment_names(lines[k], delimiter, width))), None)
     if first >= len(cells):
         raise BadSource(f"{where}: has a header and no rows; export the log again")
     columns = tuple(names) if names else tuple(str(k + 1) for k in range(width))
@@ -211,6 +213,7 @@ def take_rows(text: str, whole: Table, first_line: int, done: int) -> Table:
 
 
 def _split_lines(text: str, where: str) -> list[str]:
+    """Return the lines of a text; raises :class:`BadSource` for binary content and for lines that are too long."""
     if "\0" in text:
         raise BadSource(f"{where}: is binary, not delimited text; name the log, or another kind of import")
     lines = text.splitlines()
@@ -229,7 +232,7 @@ def _find_delimiter(content: list[str]) -> str:
         count, times = Counter(line.count(delimiter) for line in tail).most_common(1)[0]
         if count and times >= 0.6 * len(tail):
             agreeing = [line.split(delimiter) for line in content[:_SAMPLED] if line.count(delimiter) == count]
-            has_header = any(not _holds_number(row, delimiter != ",") for row in agreeing)
+            has_header = any(not _has_number(row, delimiter != ",") for row in agreeing)
             found.append((has_header, -order, delimiter))
     return max(found)[-1] if found else " "
 
@@ -266,7 +269,7 @@ def _find_header(cells: Sequence[list[str]], start: int, decimal_comma: bool) ->
     return (None, start) if any(_is_written_number(cell, decimal_comma) for cell in first) else (first, start + 1)
 
 
-def _comment_names(line: str, delimiter: str, width: int) -> list[str] | None:
+def _find_comment_names(line: str, delimiter: str, width: int) -> list[str] | None:
     """Return the names in a comment line that has as many of them as the rows have cells."""
     if not line.lstrip().startswith("#"):
         return None
@@ -275,7 +278,7 @@ def _comment_names(line: str, delimiter: str, width: int) -> list[str] | None:
     return names if len(names) == width and width > 1 else None
 
 
-def _holds_number(row: list[str], decimal_comma: bool) -> bool:
+def _has_number(row: list[str], decimal_comma: bool) -> bool:
     return any(_is_written_number(cell, decimal_comma) for cell in row)
 
 
@@ -284,6 +287,7 @@ def _is_written_number(cell: str, decimal_comma: bool) -> bool:
 
 
 def _is_number(cell: str, decimal_comma: bool) -> bool:
+    """Return whether a cell is blank or reads as a number."""
     if cell.strip().lower() in BLANK:
         return True
     try:

@@ -36,10 +36,10 @@ def read_device_attitude(
         return ()
     turned = rotation(q[inside])
     if (found := _find_inverse(t_ns[inside], turned, imu)) is not None and found != inverse:
-        log.add_note(f"{source}: the gyro turns the other way than documented; taken as {_name(found)}")
+        log.add_note(f"{source}: the gyro turns the other way than documented; taken as {_name_direction(found)}")
         inverse = found
     body_to_world = rotation(q).inv() if inverse else rotation(q)
-    log.add_conversion(f"{source}: quaternion taken as {_name(inverse)}")
+    log.add_conversion(f"{source}: quaternion taken as {_name_direction(inverse)}")
     up = _find_up(t_ns[inside], body_to_world[np.flatnonzero(inside)], imu)
     if abs(up) < _UP_CLEARLY:
         log.add_note(f"{source}: contradicts gravity (mean vertical component {up:+.2f}); not imported")
@@ -50,7 +50,7 @@ def read_device_attitude(
     return make_device_estimate(t_ns, quaternion(body_to_world), recording, source, sha256, log)
 
 
-def _name(inverse: bool) -> str:
+def _name_direction(inverse: bool) -> str:
     return "world -> body, inverted" if inverse else "body -> world"
 
 

@@ -84,6 +84,7 @@ def read_euroc(folder: Path, options: OwnOptions) -> Imported:
 
 
 def _open_sensor(folder: Path, log: Log) -> _Sensor:
+    """Return the table of a sensor, and the rotation of its ``sensor.yaml`` into the body."""
     file, description = folder / "data.csv", folder / "sensor.yaml"
     turn = Rotation.identity()
     if description.is_file():
@@ -100,6 +101,7 @@ def _open_sensor(folder: Path, log: Log) -> _Sensor:
 
 
 def _read_mag(folder: Path, options: OwnOptions, files: list[Path], log: Log) -> tuple[Mag | None, bool]:
+    """Return the magnetometer, or None with a note, and whether it is uncalibrated."""
     if not (folder / "mag0" / "data.csv").is_file():
         return None, options.mag_uncalibrated
     try:
@@ -113,6 +115,7 @@ def _read_mag(folder: Path, options: OwnOptions, files: list[Path], log: Log) ->
 
 
 def _read_gps(folder: Path, files: list[Path], log: Log) -> Gps | None:
+    """Return the fixes of ``gps0``; None without it."""
     file = folder / "gps0" / "data.csv"
     if not file.is_file():
         return None
@@ -124,6 +127,7 @@ def _read_gps(folder: Path, files: list[Path], log: Log) -> Gps | None:
 
 
 def _read_truth(folder: Path, files: list[Path], log: Log) -> Truth | None:
+    """Return the first truth that is there; None with a note without one."""
     for name in _TRUTHS:
         file = folder / name / "data.csv"
         if file.is_file():

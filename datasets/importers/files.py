@@ -139,7 +139,7 @@ def open_bundle(source: Path, suffixes: tuple[str, ...] = (".csv",)) -> Bundle:
     if not texts:
         kinds = " or ".join(suffix.lstrip(".").upper() for suffix in suffixes)
         raise BadSource(f"{source}: holds no {kinds} file; name the zip of one recording, or the folder it unpacks to")
-    return Bundle(source, _take_off_wrapper(texts), sha256)
+    return Bundle(source, _strip_wrapper(texts), sha256)
 
 
 def _read_zip(source: Path, suffixes: tuple[str, ...]) -> dict[str, str]:
@@ -164,7 +164,8 @@ def _read_zip(source: Path, suffixes: tuple[str, ...]) -> dict[str, str]:
     return texts
 
 
-def _take_off_wrapper(texts: dict[str, str]) -> dict[str, str]:
+def _strip_wrapper(texts: dict[str, str]) -> dict[str, str]:
+    """Return texts by their names without a single folder around all of them."""
     tops = {PurePosixPath(name).parts[0] for name in texts if PurePosixPath(name).parts}
     if len(tops) == 1 and all("/" in name for name in texts):
         return {name.split("/", 1)[1]: text for name, text in texts.items()}

@@ -71,6 +71,7 @@ def read_kitti(folder: Path, options: OwnOptions) -> Imported:
 
 
 def _read_numbers(file: Path) -> list[float]:
+    """Return the numbers of one sample of OXTS; raises :class:`BadSource`."""
     try:
         numbers = [float(cell) for cell in read_text(file).split()]
     except ValueError:

@@ -107,6 +107,7 @@ class Collector:
         return LongRecording(Head(self._name, info, samples), clocks, self._imu, self._mag)
 
     def _make_info(self, info: Info) -> Info:
+        """Return the description with place and date of the options."""
         assert self._first is not None
         info = apply_place_and_date(replace(self._first, info=replace(info, units_unchecked=True)), self._options)
         return replace(info, units_unchecked=self._options.units_unchecked)

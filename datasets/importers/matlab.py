@@ -52,6 +52,7 @@ class _Element:
 
 
 def _iterate_elements(data: bytes, at: int, end: int, order: str) -> Iterator[_Element]:
+    """Yield the elements between two offsets of a MAT-file; raises ``ValueError`` for one that claims too much."""
     while at + 8 <= end:
         kind, size = struct.unpack_from(f"{order}II", data, at)
         if kind >> 16:  # a small element, within its tag
@@ -97,6 +98,7 @@ def _read_array(data: bytes, order: str, depth: int) -> tuple[str, Any]:
 
 
 def _read_value(flags: int, shape: tuple[int, ...], parts: list[_Element], order: str, depth: int) -> Any:
+    """Return an array of a MAT-file by its class: a list for cells, mappings for structures, text, or numbers."""
     kind, count = flags & 0xFF, math.prod(shape)
     if kind == _CELL:
         if count != len(parts):
@@ -115,6 +117,7 @@ def _read_value(flags: int, shape: tuple[int, ...], parts: list[_Element], order
 
 
 def _read_numbers(part: _Element, shape: tuple[int, ...], order: str) -> np.ndarray:
+    """Return an element as an array of this shape; raises ``ValueError`` where its size differs."""
     if part.kind not in _NUMBERS:
         raise ValueError(f"an array of numbers holds elements of type {part.kind}")
     dtype = np.dtype(order + _NUMBERS[part.kind])
@@ -124,6 +127,7 @@ def _read_numbers(part: _Element, shape: tuple[int, ...], order: str) -> np.ndar
 
 
 def _read_text(part: _Element, order: str) -> str:
+    """Return an element as text, in the encoding that its type states."""
     encoding = _ENCODINGS.get(part.kind, "latin-1")
     if encoding in ("utf-16", "utf-32"):
         encoding += "-le" if order == "<" else "-be"

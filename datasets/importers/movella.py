@@ -52,24 +52,25 @@ def read_movella(file: Path, options: MovellaOptions) -> Imported:
     t_ns = _read_time(table, text, manager, options, log)
     unit = "rad/s" if manager else "deg/s"
     log.add_conversion(f"gyro {unit} -> rad/s; accelerometer m/s^2")
-    inertial = _read(table, t_ns, tuple(needed), "imu", log)
+    inertial = _read_columns(table, t_ns, tuple(needed), "imu", log)
     imu = Imu(inertial.t_ns, RATE[unit] * inertial.values[:, :3], inertial.values[:, 3:])
     mag, uncalibrated = None, options.mag_uncalibrated
     if all(f"Mag_{axis}" in table.columns for axis in _XYZ):
-        series = _read(table, t_ns, tuple(f"Mag_{axis}" for axis in _XYZ), "mag", log)
+        series = _read_columns(table, t_ns, tuple(f"Mag_{axis}" for axis in _XYZ), "mag", log)
         mag, uncalibrated = scale_arbitrary_field(series, log)
     sha256 = digests([file], file.parent)
     estimates: tuple[Estimate, ...] = ()
     names = next((names for names in _QUATERNIONS if all(name in table.columns for name in names)), None)
     if names is not None:
-        attitude = _read(table, t_ns, names, "attitude", log)
+        attitude = _read_columns(table, t_ns, names, "attitude", log)
         estimates = read_device_attitude(attitude, imu, False, file.stem, names[0].partition("_")[0], sha256, log)
     known = {"sensor": options.sensor or "Movella", "mag_uncalibrated": uncalibrated}
     info = make_info(f"Movella {file.name}", options, imu.t_ns, sha256, log, **known)
     return Imported(Recording(file.stem, imu=imu, mag=mag, info=info), estimates)
 
 
-def _read(table: Table, t_ns: Times, columns: tuple[str, ...], what: str, log: Log) -> Series:
+def _read_columns(table: Table, t_ns: Times, columns: tuple[str, ...], what: str, log: Log) -> Series:
+    """Return columns of the table without incomplete rows, sorted by time; raises :class:`BadSource` for none."""
     series = drop_incomplete_rows(Series(t_ns, table.floats(columns)), what, log)
     if len(series.t_ns) == 0:
         raise BadSource(f"{table.where}: no row has numbers in {', '.join(columns)}; log them")

@@ -51,7 +51,7 @@ class _Found:
 
 def read_phyphox(source: Path, options: OwnOptions) -> Imported:
     """Return the one recording of an export. Raises :class:`BadSource`."""
-    bundle = _open(source)
+    bundle = _open_source(source)
     log = Log()
     tables = [
         parse(text, bundle.where(name))
@@ -84,7 +84,8 @@ def read_phyphox(source: Path, options: OwnOptions) -> Imported:
     return Imported(Recording(bundle.name, imu=imu, mag=field, gps=gps, info=info))
 
 
-def _open(source: Path) -> Bundle:
+def _open_source(source: Path) -> Bundle:
+    """Return a folder, a ZIP or one CSV file as a bundle of texts."""
     if source.suffix.lower() == ".csv" and source.is_file():
         text = read_text(source)
         return Bundle(source, {source.name: text}, digests([source], source.parent))
@@ -111,6 +112,7 @@ def _find_sensors(table: Table, log: Log) -> Iterator[_Found]:
 
 
 def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats, log: Log) -> Series | None:
+    """Return a sensor in SI on its stamps, None without one; raises :class:`BadSource` where it is there twice."""
     here = [one for one in found if one.sensor == sensor]
     if len(here) > 1:
         places = " and ".join(f"{Path(one.table.where).name} ({one.columns[0]})" for one in here)
@@ -125,6 +127,7 @@ def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats,
 
 
 def _find_time_column(table: Table) -> str:
+    """Return the one column in seconds; raises :class:`BadSource` for none or several."""
     times = [column for column in table.columns if column.strip().lower().endswith("(s)")]
     if len(times) != 1:
         reason = f"has {len(times)} time columns ({', '.join(times)})" if times else "has no time column 'Time (s)'"
@@ -159,6 +162,7 @@ def _read_starts(bundle: Bundle, log: Log) -> Floats:
 
 
 def _read_properties(bundle: Bundle) -> dict[str, str]:
+    """Return the properties of the device by name, empty where the export has none."""
     name = bundle.find("meta/device.csv")
     if name is None:
         return {}
@@ -166,6 +170,7 @@ def _read_properties(bundle: Bundle) -> dict[str, str]:
 
 
 def _read_gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
+    """Return the fixes of the first table that has them; None without one."""
     for table in tables:
         columns = [
             next((c for c in table.columns if c.lower().startswith(word) and c.endswith(f"({unit})")), None)

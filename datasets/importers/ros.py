@@ -95,7 +95,7 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
 
     mounting = StaticFrames.none()
     if static is not None:
-        mounting = StaticFrames.read(bag, collect_messages(static, _kind(bag, static), logs, TRANSFORM, TF_LIST))
+        mounting = StaticFrames.read(bag, collect_messages(static, _get_kind(bag, static), logs, TRANSFORM, TF_LIST))
     parts = [collect_messages(topic, IMU, logs, IMU_LEAVES) for topic in imu_topics]
     imu, device = read_imu(source, parts, options, mounting, log)
     mag, uncalibrated = None, options.mag_uncalibrated
@@ -146,7 +146,7 @@ def choose_topics(bag: RosFiles, options: RosOptions, log: Log) -> Topics:
     )
 
 
-def _kind(bag: RosFiles, topic: str) -> str:
+def _get_kind(bag: RosFiles, topic: str) -> str:
     if topic not in bag.types:
         raise BadParameter(f"--body-frame: {bag.source} has no topic {topic}; leave the frame out")
     return bag.types[topic]

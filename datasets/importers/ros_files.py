@@ -78,7 +78,7 @@ def open_ros(source: Path) -> RosFiles:
             log = read_columns(open_file(file), topics=())
         except BadFile as error:
             raise BadSource(str(error)) from None
-        types |= {topic: _full_type(kind) for topic, kind in log.types.items()}
+        types |= {topic: _complete_type(kind) for topic, kind in log.types.items()}
         for topic, count in log.counts.items():
             counts[topic] += count
         if log.lost:
@@ -88,13 +88,14 @@ def open_ros(source: Path) -> RosFiles:
     return RosFiles(source, tuple(files), open_file, types, dict(counts), tuple(notes))
 
 
-def _full_type(kind: str) -> str:
+def _complete_type(kind: str) -> str:
     """Return ``sensor_msgs/msg/Imu`` for the ROS 1 name ``sensor_msgs/Imu``."""
     package, _, name = kind.partition("/")
     return kind if "/msg/" in kind or not name else f"{package}/msg/{name}"
 
 
 def _find_files(source: Path) -> tuple[list[Path], Callable[[Path], Container]]:
+    """Return the files of a bag in order, and the class that reads them; raises :class:`BadSource` for none."""
     if source.is_file():
         readers: dict[str, Callable[[Path], Container]] = {".mcap": Scan, ".bag": _BagScan, ".db3": _Db3Scan}
         if source.suffix not in readers:
@@ -141,6 +142,7 @@ class _MessageFile:
     """Base of the containers below."""
 
     def __init__(self, path: Path) -> None:
+        """Begin without messages; no file is opened."""
         self.path = path
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -150,6 +152,7 @@ class _MessageFile:
         self.lost = ""
 
     def _declare(self, number: int, topic: str, kind: str, encoding: str, schema: str, definition: bytes) -> None:
+        """Note a topic and the schema of its messages under a number."""
         number = number & 0xFFFF
         self.schemas[number] = Schema(number, definition, schema, kind)
         self.channels[number] = Channel(number, topic, encoding, {}, number)
@@ -173,19 +176,20 @@ class _BagScan(_MessageFile):
                 if record is None:
                     self.lost = f"the file is cut short, nothing could be read from byte {start} of {size} on"
                     break
-                self._take(*record, messages)
+                self._take_record(*record, messages)
                 if messages.size > _BLOCK_BYTES:
                     yield messages.take()
             if messages.size:
                 yield messages.take()
 
-    def _take(self, header: dict[str, bytes], data: bytes, messages: _Messages) -> None:
+    def _take_record(self, header: dict[str, bytes], data: bytes, messages: _Messages) -> None:
+        """Take the messages and connections of a record, and of the records in a chunk; raises :class:`BadFile`."""
         operation = header.get("op", b"\0")[0]
         if operation == _CHUNK:
             compression = header["compression"].decode("ascii", "replace")
             inner = unpack(data, compression, int.from_bytes(header["size"], "little"))
             for part_header, part in _split_records(inner):
-                self._take(part_header, part, messages)
+                self._take_record(part_header, part, messages)
         elif operation == _CONNECTION:
             about = dict(_split_fields(data))
             self._declare(
@@ -253,12 +257,13 @@ class _Db3Scan(_MessageFile):
         with reading(self.path, "a ROS 2 bag"):
             connection = sqlite3.connect(f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1", uri=True)
             try:
-                yield from self._blocks(connection)
+                yield from self._read_blocks(connection)
             finally:
                 connection.close()
 
-    def _blocks(self, connection: sqlite3.Connection) -> Iterator[Block]:
-        definitions = self._definitions(connection)
+    def _read_blocks(self, connection: sqlite3.Connection) -> Iterator[Block]:
+        """Yield the messages of the database in blocks; raises ``ValueError`` or :class:`BadFile` for odd content."""
+        definitions = self._read_definitions(connection)
         topics = connection.execute("SELECT id, name, type, serialization_format FROM topics")
         for number, name, kind, encoding in topics:
             if not (isinstance(number, int) and isinstance(name, str) and isinstance(kind, str)):
@@ -282,7 +287,7 @@ class _Db3Scan(_MessageFile):
         if messages.size:
             yield messages.take()
 
-    def _definitions(self, connection: sqlite3.Connection) -> dict[str, tuple[str, bytes]]:
+    def _read_definitions(self, connection: sqlite3.Connection) -> dict[str, tuple[str, bytes]]:
         """Return what newer bags keep of each type; older ones keep nothing, and common types go by name."""
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if "message_definitions" not in tables:
@@ -359,13 +364,16 @@ def collect_messages(topic: str, kind: str, logs: Sequence[Log], leaves: Leaves,
         found = log.topics[topic]
         for part in found.parts:
             for prefix in _list_prefixes(part.columns, listed):
-                pieces.append(_piece(found.path, topic, kind, part.columns, found.t_ns[part.rows], prefix, leaves))
+                pieces.append(
+                    _make_messages(found.path, topic, kind, part.columns, found.t_ns[part.rows], prefix, leaves)
+                )
     if not pieces:
         raise BadSource(f"{logs[0].path}: {topic} holds no message; name another topic")
-    return _join(topic, kind, pieces)
+    return _join_pieces(topic, kind, pieces)
 
 
 def _list_prefixes(columns: dict[str, NDArray[Any]], listed: str) -> list[str]:
+    """Return the path of each element of a list in the messages, or one empty path without a list."""
     if not listed:
         return [""]
     count = 0
@@ -374,7 +382,7 @@ def _list_prefixes(columns: dict[str, NDArray[Any]], listed: str) -> list[str]:
     return [f"{listed}[{k}]." for k in range(count)]
 
 
-def _piece(
+def _make_messages(
     path: Path,
     topic: str,
     kind: str,
@@ -383,9 +391,11 @@ def _piece(
     prefix: str,
     leaves: Leaves,
 ) -> Messages:
+    """Return the wanted leaves of messages of one form as numbers (n, k), with stamps and frames."""
     n = len(t_ns)
 
     def column(leaf: str) -> NDArray[np.float64]:
+        """Return a leaf (n,); raises :class:`BadSource` where the messages have none."""
         name, bracket, place = leaf.partition("[")
         values = columns.get(prefix + name)
         if values is None:
@@ -404,7 +414,8 @@ def _piece(
     return Messages(topic, kind, stamps_ns, t_ns, text("header.frame_id"), text("child_frame_id"), numbers)
 
 
-def _join(topic: str, kind: str, pieces: Sequence[Messages]) -> Messages:
+def _join_pieces(topic: str, kind: str, pieces: Sequence[Messages]) -> Messages:
+    """Return the messages of all pieces in the order in which they were logged."""
     logged_ns = np.concatenate([piece.logged_ns for piece in pieces])
     order = np.argsort(logged_ns, kind="stable")
 

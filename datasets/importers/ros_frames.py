@@ -66,7 +66,7 @@ class StaticFrames:
         """
         if target is None or strip_slash(target) == strip_slash(frame):
             return Rotation.identity()
-        to_root, from_root = self._climb(strip_slash(frame)), self._climb(strip_slash(target))
+        to_root, from_root = self._find_ancestors(strip_slash(frame)), self._find_ancestors(strip_slash(target))
         common = next((name for name in to_root if name in from_root), None)
         if common is None:
             known = sorted({*self.parents, *(parent for parent, _ in self.parents.values())})
@@ -75,7 +75,7 @@ class StaticFrames:
             )
         return from_root[common].inv() * to_root[common]
 
-    def _climb(self, frame: str) -> dict[str, Rotation]:
+    def _find_ancestors(self, frame: str) -> dict[str, Rotation]:
         """Return the frame and its ancestors with the rotations that take its vectors to them."""
         path = {frame: Rotation.identity()}
         turn = Rotation.identity()

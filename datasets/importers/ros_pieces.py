@@ -63,6 +63,7 @@ class _Reader:
     """Reads one bag."""
 
     def __init__(self, source: Path, options: RosOptions) -> None:
+        """Open the bag, and choose its topics; raises :class:`NotInPiecesError` where it has to be in memory whole."""
         self._source, self._options = source, options
         self._bag = open_ros(source)
         self._log = Log(notes=list(self._bag.notes))
@@ -83,7 +84,7 @@ class _Reader:
         topics = [topic for topic in (self._imu_topic, self._mag_topic) if topic is not None]
         for batch in self._bag.read_batches(topics, BATCH_MESSAGES):
             if any(len(topic.t_ns) for topic in batch.topics.values()) or batch.unread:
-                self._add([batch])
+                self._add_piece([batch])
         if self._sizes[1:].min() > _MIXED_SHARE * self._sizes[0]:
             raise NotInPiecesError
         for line in self._found.conversions:
@@ -95,7 +96,8 @@ class _Reader:
             return long
         return replace(long, estimates=_Estimates(estimate, self._device).pieces)
 
-    def _add(self, logs: Sequence[McapLog]) -> None:
+    def _add_piece(self, logs: Sequence[McapLog]) -> None:
+        """Add the messages of one piece; raises :class:`NotInPiecesError` where they need the whole recording."""
         log = Log()
         messages = collect_messages(self._imu_topic, IMU, logs, IMU_LEAVES)
         self._check(messages)
@@ -124,6 +126,7 @@ class _Reader:
             raise NotInPiecesError
 
     def _count_sizes(self, imu: Imu) -> None:
+        """Count samples with a specific force near 1 g in m/s^2, and near 1, for the check of the unit."""
         size = np.linalg.norm(imu.accel_b_mps2, axis=1)
         near = [int((np.abs(size / gravity - 1) < 0.15).sum()) for gravity in (STANDARD_GRAVITY_MPS2, 1.0)]
         self._sizes += [len(size), *near]

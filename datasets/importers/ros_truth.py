@@ -29,15 +29,15 @@ def leaves(prefix: str, names: str) -> tuple[str, ...]:
     return tuple(f"{prefix}.{name}" for name in names)
 
 
-def _pose(prefix: str) -> Leaves:
+def _list_pose_leaves(prefix: str) -> Leaves:
     return {"q": leaves(f"{prefix}.orientation", "wxyz"), "position": leaves(f"{prefix}.position", "xyz")}
 
 
 TRANSFORM: Leaves = {"q": leaves("transform.rotation", "wxyz"), "position": leaves("transform.translation", "xyz")}
 POSES: dict[str, Leaves] = {
-    "geometry_msgs/msg/PoseStamped": _pose("pose"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
-    ODOMETRY: _pose("pose.pose"),
+    "geometry_msgs/msg/PoseStamped": _list_pose_leaves("pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _list_pose_leaves("pose.pose"),
+    ODOMETRY: _list_pose_leaves("pose.pose"),
     "geometry_msgs/msg/TransformStamped": TRANSFORM,
     "geometry_msgs/msg/QuaternionStamped": {"q": leaves("quaternion", "wxyz")},
     **dict.fromkeys(TF, TRANSFORM),
@@ -92,6 +92,7 @@ def _is_direct(messages: Messages, parent: str, child: str) -> bool:
 
 
 def _collect_static(bag: RosFiles, topic: str, logs: Sequence[McapLog]) -> Messages | None:
+    """Return the messages of the static transforms that belong to a topic; None without them."""
     if STATIC not in list_pose_topics(bag, topic)[1:] or not bag.counts.get(STATIC):
         return None
     return collect_messages(STATIC, bag.types[STATIC], logs, TRANSFORM, TF_LIST)
@@ -147,8 +148,8 @@ def _compose_chain(moving: Messages, fixed: Messages | None, parent: str, child:
             f"truth: {int((~keep).sum())} of {len(keep)} stamps dropped, at which a link of the chain has a gap"
         )
     t_ns = leading.t_ns[keep]
-    turn, position_m = _compose(from_child, t_ns)
-    parent_turn, parent_position_m = _compose(from_parent, t_ns)
+    turn, position_m = _compose_links(from_child, t_ns)
+    parent_turn, parent_position_m = _compose_links(from_parent, t_ns)
     turn, position_m = parent_turn.inv() * turn, parent_turn.inv().apply(position_m - parent_position_m)
     return Series(t_ns, np.hstack([np.broadcast_to(quaternion(turn), (len(t_ns), 4)), position_m]))
 
@@ -160,8 +161,8 @@ def _find_chain(
 
     Raises :class:`BadParameter` where there is no such frame.
     """
-    above_child, up = _climb(child, moving, fixed)
-    above_parent, down = _climb(parent, moving, fixed)
+    above_child, up = _find_ancestors(child, moving, fixed)
+    above_parent, down = _find_ancestors(parent, moving, fixed)
     common = next((name for name in above_child if name in above_parent), None)
     if common is None:
         known = {strip_slash(name) for one in (moving, fixed) if one for name in (*one.frames, *one.children)}
@@ -174,7 +175,7 @@ def _find_chain(
     return up[:up_to], down[:down_to], names
 
 
-def _climb(frame: str, moving: Messages, fixed: Messages | None) -> tuple[list[str], list[Messages]]:
+def _find_ancestors(frame: str, moving: Messages, fixed: Messages | None) -> tuple[list[str], list[Messages]]:
     """Return a frame with the frames above it, and the messages of the links between them.
 
     Raises :class:`BadParameter` where a frame has two parents.
@@ -227,7 +228,7 @@ def _has_neighbours(t_ns: Times, at_ns: Times) -> NDArray[np.bool_]:
     return np.asarray(close | np.isin(at_ns, t_ns), dtype=np.bool_)
 
 
-def _at(link: _Link, at_ns: Times) -> tuple[Rotation, Floats]:
+def _interpolate_link(link: _Link, at_ns: Times) -> tuple[Rotation, Floats]:
     """Return rotation and position of a link at stamps that are all on it or between two of its own."""
     if link.is_fixed:
         return link.turn, link.position_m
@@ -238,10 +239,10 @@ def _at(link: _Link, at_ns: Times) -> tuple[Rotation, Floats]:
     return turn, position_m
 
 
-def _compose(links: Sequence[_Link], at_ns: Times) -> tuple[Rotation, Floats]:
+def _compose_links(links: Sequence[_Link], at_ns: Times) -> tuple[Rotation, Floats]:
     """Return the pose of the first child in the last parent of links that lead upward, at these stamps."""
     turn, position_m = Rotation.identity(1), np.zeros((1, 3))
     for link in links:
-        step, step_m = _at(link, at_ns)
+        step, step_m = _interpolate_link(link, at_ns)
         turn, position_m = step * turn, step.apply(position_m) + step_m
     return turn, position_m

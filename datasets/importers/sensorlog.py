@@ -93,6 +93,7 @@ def _read(table: Table, time: str, columns: str, axes: str, what: str, log: Log)
 
 
 def _read_mag(table: Table, options: SensorLogOptions, log: Log) -> tuple[Mag | None, bool]:
+    """Return the magnetometer that the options name, else another that was logged, and whether it is uncalibrated."""
     others = [kind for kind in _MAGS if kind != options.mag]
     for kind in (options.mag, *others):
         series = _read(table, *_MAGS[kind], _XYZ, "mag", log)

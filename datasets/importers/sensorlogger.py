@@ -80,6 +80,7 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Imported:
 
 
 def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> _Phone:
+    """Return platform and settings of the app; raises :class:`BadSource` where nothing states the platform."""
     name = bundle.find("Metadata.csv")
     metadata: dict[str, str] = {}
     if name is not None:
@@ -198,6 +199,7 @@ def _read_attitude(bundle: Bundle, log: Log) -> Series | None:
 
 
 def _read_gps(bundle: Bundle, log: Log) -> Gps | None:
+    """Return the fixes of ``Location.csv``; None without it."""
     name = bundle.find("Location.csv")
     if name is None:
         return None

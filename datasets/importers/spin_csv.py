@@ -77,6 +77,7 @@ def find_geometry(options: SpinOptions) -> SpinGeometry:
 
 
 def _read_geometry(file: Path, range_g: float | None) -> SpinGeometry:
+    """Read arms, axes and ranges of the accelerometers from a TOML file; raises :class:`BadParameter`."""
     given = read_toml(file)
     for key in given:
         if key not in _GEOMETRY_KEYS:

@@ -110,6 +110,7 @@ def _is_bag(file: Path, options: _PoseOptions) -> bool:
 
 
 def _read_bag(file: Path, options: _PoseOptions, log: Log) -> Truth:
+    """Read poses from a topic of a bag; raises :class:`BadParameter` where the topic has to be named."""
     with reading(file, "a bag"):
         bag = open_ros(file)
         found = sorted(topic for topic, kind in bag.types.items() if kind in POSES and topic != "/tf_static")
@@ -129,16 +130,18 @@ def _read_bag(file: Path, options: _PoseOptions, log: Log) -> Truth:
 
 
 def _read_text_poses(file: Path, options: _PoseOptions, log: Log) -> Truth:
+    """Read poses from a text file, in the format that the options name or that its columns show."""
     if file.is_dir():
         raise BadSource(f"{file}: is a folder; name the file of a trajectory")
-    table = parse(_read_or_refuse(file), str(file))
+    table = parse(_read_as_text(file), str(file))
     form = options.format or _recognise(table, file, options)
     readers = {"tum": _read_tum, "kitti": _read_kitti, "euroc": _read_euroc, "csv": _read_csv}
     with reading(file, "a trajectory"):
         return readers[form](table, file, options, log)
 
 
-def _read_or_refuse(file: Path) -> str:
+def _read_as_text(file: Path) -> str:
+    """Return a file as text; raises :class:`BadSource` for binary content."""
     text = read_text(file)
     if "\0" in text:
         raise BadSource(f"{file}: is not text; give a trajectory as text, or an MCAP file by its name *.mcap")
@@ -170,6 +173,7 @@ def _recognise(table: Table, file: Path, options: _PoseOptions) -> Format:
 
 
 def _read_size(cell: str) -> float:
+    """Return the absolute value of a cell, 0 for one that is no number."""
     try:
         return abs(float(cell))
     except ValueError:
@@ -177,6 +181,7 @@ def _read_size(cell: str) -> float:
 
 
 def _read_tum(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
+    """Read lines of seconds, position and quaternion xyzw; raises :class:`BadSource`."""
     wanted = "a TUM pose is eight numbers: seconds x y z qx qy qz qw"
     if len(table.columns) != _TUM_WIDTH:
         raise BadSource(f"{file}: its first line has {len(table.columns)} words; {wanted}")
@@ -190,6 +195,7 @@ def _read_tum(table: Table, file: Path, options: _PoseOptions, log: Log) -> Trut
 
 
 def _read_euroc(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
+    """Read rows of nanoseconds, position and quaternion wxyz; raises :class:`BadSource`."""
     names = table.columns
     if len(names) < _EUROC_WIDTH:
         raise BadSource(f"{file}: its header has {len(names)} names; a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
@@ -199,6 +205,7 @@ def _read_euroc(table: Table, file: Path, options: _PoseOptions, log: Log) -> Tr
 
 
 def _read_kitti(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
+    """Read rows of 3 x 4 matrices, with the stamps of another file; raises :class:`BadSource`."""
     times = options.times or file.with_name("times.txt")
     if not times.is_file():
         raise BadSource(f"{file}: KITTI poses have no stamps, and there is no {times.name} beside them; name that file")
@@ -218,6 +225,7 @@ def _read_kitti(table: Table, file: Path, options: _PoseOptions, log: Log) -> Tr
 
 
 def _read_csv(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
+    """Read named columns of time and quaternion; rows without an attitude are dropped and noted."""
     time = _find_time(table) if options.time is None else split(options.time, "s")
     quaternions = _find_quaternion(table) if options.quaternion is None else options.quaternion
     if time is None:

@@ -207,6 +207,7 @@ def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]
 
 
 def _read_boot_time(path: Path) -> float:
+    """Return the Unix time in s at which the phone was started; raises :class:`BadSource`."""
     try:
         return float(_read_properties(path)["Time"]["BootTime"])
     except (KeyError, ValueError):
@@ -214,6 +215,7 @@ def _read_boot_time(path: Path) -> float:
 
 
 def _read_alignment(path: Path) -> float:
+    """Return the offset in s between the clocks of truth and phone; raises :class:`BadSource`."""
     if not path.is_file():
         raise BadSource(f"{path}: is missing, and without it the truth cannot be put on the phone's clock; download it")
     try:
@@ -223,6 +225,7 @@ def _read_alignment(path: Path) -> float:
 
 
 def _read_properties(path: Path) -> configparser.ConfigParser:
+    """Return the properties that the app wrote; raises :class:`BadSource`."""
     parser = configparser.ConfigParser()
     try:
         parser.read_string(read_text(path))

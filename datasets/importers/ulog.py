@@ -81,6 +81,7 @@ def _read_vectors(data: dict[str, Any], topic: str, field: str, width: int) -> S
 
 
 def _read_imu(file: Path, data: dict[str, Any], log: Log) -> Any:
+    """Return gyro and accelerometer of ``sensor_combined`` on one clock; raises :class:`BadSource` without them."""
     gyro = _read_vectors(data, "sensor_combined", "gyro_rad", 3)
     accel = _read_vectors(data, "sensor_combined", "accelerometer_m_s2", 3)
     if gyro is None or accel is None:
@@ -97,6 +98,7 @@ def _read_imu(file: Path, data: dict[str, Any], log: Log) -> Any:
 
 
 def _read_mag(data: dict[str, Any], options: OwnOptions, log: Log) -> tuple[Mag | None, bool]:
+    """Return the magnetometer, or None with a note, and whether it is uncalibrated."""
     series = _read_vectors(data, "vehicle_magnetometer", "magnetometer_ga", 3)
     if series is None:
         log.add_note("no magnetometer: there is no topic vehicle_magnetometer")
@@ -125,6 +127,7 @@ def _read_gps(data: dict[str, Any], log: Log) -> tuple[Gps | None, str]:
 
 
 def _read_truth(data: dict[str, Any], log: Log) -> Truth | None:
+    """Return the true attitude of a simulation, turned to East-North-Up; None without one."""
     series = _read_vectors(data, "vehicle_attitude_groundtruth", "q", 4)
     if series is None:
         return None

@@ -68,6 +68,7 @@ def read_ximu3(folder: Path, options: OwnOptions) -> Imported:
 
 
 def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported:
+    """Read the files of one device: IMU, magnetometer and the device's own attitude."""
     log = Log()
     table = read_table(folder / device.imu, ",", log)
     log.add_conversion(f"gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665), from {device.imu}")
@@ -106,6 +107,7 @@ def _read_columns(table: Table, device: _Device, columns: tuple[str, ...], what:
 def _read_mag(
     folder: Path, device: _Device, options: OwnOptions, files: list[Path], log: Log
 ) -> tuple[Mag | None, bool]:
+    """Return the magnetometer, or None with a note, and whether it is uncalibrated."""
     name, column, unit = device.mag
     if not (folder / name).is_file():
         log.add_note(f"no magnetometer: there is no {name}")

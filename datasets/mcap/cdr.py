@@ -51,14 +51,14 @@ class MessageType:
 
 
 @lru_cache(maxsize=1)
-def _typestore() -> Any:
+def _load_typestore() -> Any:
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
 @lru_cache(maxsize=64)
 def definition(type_name: str) -> str:
     """Return the full concatenated ros2msg text of a common type, such as ``sensor_msgs/msg/Imu``."""
-    return str(_typestore().generate_msgdef(type_name, ros_version=2)[0])
+    return str(_load_typestore().generate_msgdef(type_name, ros_version=2)[0])
 
 
 @lru_cache(maxsize=256)
@@ -74,7 +74,7 @@ def parse(type_name: str, encoding: str, text: str) -> MessageType:
         raise Undecodable(f"its schema is {encoding or 'none'}, not ros2msg, ros2idl or ros1msg")
     wire = "ros1" if encoding == "ros1msg" else "cdr"
     if not text.strip():
-        encoding, text = "ros2msg", _common_definition(name, wire)
+        encoding, text = "ros2msg", _find_common_definition(name, wire)
     try:
         types = get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
     except Exception as error:  # the parser raises many kinds of errors on damaged text
@@ -84,9 +84,9 @@ def parse(type_name: str, encoding: str, text: str) -> MessageType:
     return MessageType(name, {key: tuple(fields) for key, (_, fields) in types.items()}, wire)
 
 
-def _common_definition(name: str, wire: str) -> str:
+def _find_common_definition(name: str, wire: str) -> str:
     """Return the text of a common type; raises :class:`Undecodable` for any other."""
-    store = get_typestore(Stores.ROS1_NOETIC) if wire == "ros1" else _typestore()
+    store = get_typestore(Stores.ROS1_NOETIC) if wire == "ros1" else _load_typestore()
     if name not in store.fielddefs:
         raise Undecodable("its definition is empty, and it is no common type")
     return str(store.generate_msgdef(name, ros_version=1 if wire == "ros1" else 2)[0])
@@ -100,6 +100,7 @@ def layout_of(message_type: MessageType, body: bytes) -> Layout:
     order = "<" if ros1 or body[1] else ">"
 
     def length_at(leaf: str, offset: int, _: int) -> int:
+        """Return the length word at an offset of the message; raises :class:`Undecodable` where it ends before."""
         try:
             return int(struct.unpack_from(order + "I", body, offset)[0])
         except struct.error:
@@ -121,6 +122,7 @@ class _Walk:
     def __init__(
         self, order: str, length_at: Callable[[str, int, int], int], size: int | None = None, ros1: bool = False
     ) -> None:
+        """Begin at the start of a message; ``size`` is that of a message to read, None for one to be written."""
         self.order, self.length_at, self.size = order, length_at, size  # size: of a message that is there to be read
         self.aligned = not ros1
         self.terminated = int(not ros1)  # bytes after a string, which its length counts
@@ -130,6 +132,7 @@ class _Walk:
         self.words: list[tuple[int, bytes]] = []
 
     def layout(self, message_type: MessageType) -> Layout:
+        """Return the places of all leaves of a message of this type."""
         self._add_message(message_type.definitions, message_type.name, "", depth=0)
         size = self.end if self.size is None else self.size
         places = {"names": list(self.offsets), "offsets": list(self.offsets.values())}
@@ -139,6 +142,7 @@ class _Walk:
     def _add_message(
         self, definitions: Mapping[str, Sequence[tuple[str, Any]]], name: str, path: str, depth: int
     ) -> None:
+        """Add the leaves of a type below a path; raises :class:`Undecodable` for a type that is not defined."""
         if depth > 32:
             raise Undecodable(f"the type {name} holds itself")
         if name in _BUILTIN and name not in definitions:
@@ -153,6 +157,7 @@ class _Walk:
             self._add_node(definitions, node, f"{path}.{field}" if path else field, depth)
 
     def _add_node(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], node: Any, path: str, depth: int) -> None:
+        """Add a field below a path: a message, a primitive, or an array or sequence of these."""
         kind, detail = node
         if kind == Nodetype.NAME:
             self._add_message(definitions, detail, path, depth + 1)
@@ -161,7 +166,7 @@ class _Walk:
         else:
             inner, count = detail
             if kind == Nodetype.SEQUENCE:
-                count = self._length(path, empty=0)
+                count = self._find_length(path, empty=0)
             if inner[0] == Nodetype.BASE and inner[1][0] in PRIMITIVES:
                 self._add_leaf(path, inner[1][0], count)
                 return
@@ -170,7 +175,7 @@ class _Walk:
             for k in range(count):
                 self._add_node(definitions, inner, f"{path}[{k}]", depth)
 
-    def _length(self, path: str, empty: int) -> int:
+    def _find_length(self, path: str, empty: int) -> int:
         """Return the length word of a string or sequence; an empty string in CDR has 1 for its NUL."""
         self._align(4)
         length = self.length_at(path, self.end, empty)
@@ -181,8 +186,8 @@ class _Walk:
     def _add_leaf(self, path: str, primitive: str, count: int | None) -> None:
         """Place one primitive, ``count`` of them in a row, or a string."""
         if primitive == "string":
-            length = self._length(path, empty=1)
-            self._place(path, f"S{max(length - self.terminated, 0)}", length)
+            length = self._find_length(path, empty=1)
+            self._add_place(path, f"S{max(length - self.terminated, 0)}", length)
             return
         if primitive not in PRIMITIVES:
             raise Undecodable(f"its field {path} is of type {primitive}")
@@ -190,13 +195,17 @@ class _Walk:
         if count != 0:  # an empty sequence is not followed by padding
             self._align(dtype.itemsize)
         size = dtype.itemsize * (1 if count is None else count)
-        self._place(path, dtype if count is None else (dtype, (count,)), size)
+        self._add_place(path, dtype if count is None else (dtype, (count,)), size)
 
     def _align(self, size: int) -> None:
         if self.aligned:
             self.end += -(self.end - _ENCAPSULATION) % size
 
-    def _place(self, path: str, form: Any, size: int) -> None:
+    def _add_place(self, path: str, form: Any, size: int) -> None:
+        """Give a leaf the next place.
+
+        Raises :class:`Undecodable` beyond the end of the message, or for a second one.
+        """
         if self.size is not None and self.end + size > self.size:
             raise Undecodable(f"a message ends within {path}")
         if len(self.offsets) >= _MOST_LEAVES:

@@ -116,6 +116,7 @@ def _restore_special(item: dict[str, Any]) -> Any:
 
 
 def _to_plain(value: Any, where: str) -> Any:
+    """Return a value as plain JSON; raises :class:`BadRecording` for a type that has no JSON form."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     elif isinstance(value, np.generic):

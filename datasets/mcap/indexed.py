@@ -45,6 +45,7 @@ class LocalFile:
     """A local file as a :class:`Source`."""
 
     def __init__(self, path: Path) -> None:
+        """Find the size of the file; raises :class:`BadFile`."""
         self._path = path
         try:
             self.size = path.stat().st_size
@@ -156,6 +157,7 @@ class IndexedScan(Scan):
         return chunks
 
     def _select_chunks(self, chunks: list[ChunkIndex]) -> list[ChunkIndex]:
+        """Return the chunks that may hold wanted topics within the window, in the order of the file."""
         numbers = {
             number for number, channel in self.channels.items() if self._topics is None or channel.topic in self._topics
         }
@@ -172,20 +174,20 @@ class IndexedScan(Scan):
         """Yield each chunk with its message indexes; those that lie close together come in one request."""
         runs: list[list[ChunkIndex]] = []
         for chunk in chunks:
-            if runs and chunk.chunk_start_offset - _end(runs[-1][-1]) <= _LARGEST_GAP:
+            if runs and chunk.chunk_start_offset - _find_chunk_end(runs[-1][-1]) <= _LARGEST_GAP:
                 runs[-1].append(chunk)
             else:
                 runs.append([chunk])
         for run in runs:
-            start, end = run[0].chunk_start_offset, _end(run[-1])
+            start, end = run[0].chunk_start_offset, _find_chunk_end(run[-1])
             if not 0 < start < end <= self._source.size:
                 raise DamagedError("the index of its chunks points beyond its end")
             data = self._source.fetch(start, end)
             for chunk in run:
-                yield chunk, data[chunk.chunk_start_offset - start : _end(chunk) - start]
+                yield chunk, data[chunk.chunk_start_offset - start : _find_chunk_end(chunk) - start]
 
 
-def _end(chunk: ChunkIndex) -> int:
+def _find_chunk_end(chunk: ChunkIndex) -> int:
     return chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
 
 

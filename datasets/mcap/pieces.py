@@ -53,6 +53,7 @@ class PieceReader:
     """
 
     def __init__(self, path: Path | str, units_unchecked: bool = False, most: int = _PIECE_ROWS) -> None:
+        """Read the facts of a file; one whose chunks cannot be read apart is read whole. Raises :class:`BadFile`."""
         self.path = Path(path)
         self._units_unchecked, self._most = units_unchecked, most
         self._whole: Log | None = None
@@ -98,7 +99,7 @@ class PieceReader:
         """Yield the pieces of a recording; raises :class:`BadFile`, also for sizes that do not fit their units."""
         head = self.head
         units = None if head.info.units_unchecked else UnitCheck(head.name, head.info.mag_uncalibrated)
-        for log in self._logs():
+        for log in self._read_logs():
             streams, extra = make_checked(log, lambda log=log: make_streams(log, self.facts, self._absent))  # type: ignore[misc]
             piece = Piece(**streams, extra=extra)
             if units is not None:
@@ -109,13 +110,14 @@ class PieceReader:
 
     def trajectory(self) -> Iterator[Reference | SpinReference | Estimate]:
         """Yield the pieces of a reference or estimate, each with all facts; raises :class:`BadFile`."""
-        for log in self._logs():
+        for log in self._read_logs():
             if log.lost:
                 raise BadFile(f"{self.path}: {log.lost}; a {self.kind} that was cut cannot be used; make it again")
             if any(len(topic.t_ns) for topic in log.topics.values()):
                 yield make_checked(log, lambda log=log: make_trajectory(log, self.kind, self.facts, self._absent))  # type: ignore[misc]
 
-    def _logs(self) -> Iterator[Log]:
+    def _read_logs(self) -> Iterator[Log]:
+        """Yield the messages piece by piece; raises :class:`BadFile` where the pieces overlap in time."""
         logs = (
             read_pieces(Scan(self.path), is_own_topic, OWN_COLUMNS, self._starts_ns, self._most)
             if self._whole is None
@@ -155,13 +157,14 @@ def read_window(path: Path | str, window: Window, units_unchecked: bool = False)
     check_readable(log)
     samples, absent = facts.pop("samples"), facts.pop("absent")
 
-    def make() -> Recording:
+    def make_recording() -> Recording:
+        """Return the part of the recording that was read."""
         streams, extra = make_streams(log, facts, absent)
         info = make_info(log, facts, samples, units_unchecked)
         pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
         return Recording(facts["name"], base_pose=pose, info=info, extra=extra, **streams)
 
-    return make_checked(log, make)
+    return make_checked(log, make_recording)
 
 
 @dataclass(frozen=True)
@@ -189,6 +192,7 @@ def _find_outline(path: Path) -> _Outline | None:
 
 
 def _walk_heads(file: IO[bytes]) -> _Outline | None:
+    """Return where the chunks begin and what the file holds, from the heads of its records; None for another file."""
     if file.read(len(MAGIC)) != MAGIC:
         return None
     size, at = file.seek(0, 2), len(MAGIC)

@@ -224,6 +224,7 @@ class _Gather:
     """Collects the messages of one topic, block by block, already cut down to the wanted columns."""
 
     def __init__(self, channel: Channel, schema: Schema | None, columns: Columns | None) -> None:
+        """Begin without messages; ``refusal`` says why those of a channel cannot be decoded."""
         self.columns = columns
         self.refusal = ""
         self.count = 0
@@ -316,7 +317,7 @@ class _Gather:
 
     def release(self, path: Path, name: str, type_name: str, until_ns: int | None) -> Topic:
         """Return what was collected before a time (None: everything), by time; the rest stays."""
-        topic = self._topic(path, name, type_name)
+        topic = self._make_topic(path, name, type_name)
         self.room = max(self.room, self.count)
         self.count, self.t_ns, self.rows, self.found = 0, _Growing(self.room), {}, {}
         if until_ns is None:
@@ -333,7 +334,8 @@ class _Gather:
                 self._keep_columns(part.rows[first:] - n, rest)
         return before
 
-    def _topic(self, path: Path, name: str, type_name: str) -> Topic:
+    def _make_topic(self, path: Path, name: str, type_name: str) -> Topic:
+        """Return all messages of the channel, sorted by time."""
         t_ns = self.t_ns.whole()
         place = None
         if (np.diff(t_ns) < 0).any():
@@ -376,6 +378,7 @@ class _View:
     """
 
     def __init__(self, layout: cdr.Layout, columns: Columns | None) -> None:
+        """Plan how the wanted columns are copied from messages of one layout."""
         self.dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
         self.words = [int.from_bytes(word, "little") for _, word in layout.words]
         self.of_words = np.dtype(

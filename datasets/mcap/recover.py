@@ -85,7 +85,7 @@ def recover_file(source: Path, target: Path) -> Recovered:
     kind, facts = _read_facts(found)
     expected = _read_expected_counts(found, facts)
     blocks = _drop_unpaired(blocks, found, kind)
-    kept = _count(blocks, found)
+    kept = _count_messages(blocks, found)
     for topic, count in expected.items():
         if kept.get(topic, 0) < count:
             found.lost.append(f"{topic}: {count - kept.get(topic, 0)} of {count} messages")
@@ -99,7 +99,7 @@ def recover_file(source: Path, target: Path) -> Recovered:
         [channel for _, channel in sorted(channels.items())],
         found.metadata,
         found.attachments,
-        (_repack(block) for block in blocks if block.heads),
+        (_pack_again(block) for block in blocks if block.heads),
     )
     return Recovered(kept, expected, tuple(found.lost))
 
@@ -128,7 +128,7 @@ def _read_summary(data: mmap.mmap, found: _Found) -> None:
     if not 0 < footer.summary_start < end or footer.summary_crc != crc32(data[footer.summary_start : end - 4]):
         found.lost.append("the summary is damaged: the index of the chunks cannot be used")
         return
-    for opcode, start, stop in _frames(data, footer.summary_start, end):
+    for opcode, start, stop in _find_frames(data, footer.summary_start, end):
         body = data[start:stop]
         if opcode == Opcode.CHUNK_INDEX:
             index = parse_record(ChunkIndex, body)
@@ -151,7 +151,7 @@ def _read_summary(data: mmap.mmap, found: _Found) -> None:
 def _take_fact_at(data: mmap.mmap, found: _Found, at: int) -> None:
     """Take in the metadata or the attachment to which the summary points, unless its own head is damaged."""
     if at + _HEAD <= len(data) and data[at] in (Opcode.METADATA, Opcode.ATTACHMENT):
-        _take_fact(data, found, data[at], at + _HEAD, min(at + _HEAD + _length(data, at), len(data)))
+        _take_fact(data, found, data[at], at + _HEAD, min(at + _HEAD + _read_length(data, at), len(data)))
 
 
 def _walk_records(data: mmap.mmap, found: _Found) -> None:
@@ -160,7 +160,7 @@ def _walk_records(data: mmap.mmap, found: _Found) -> None:
     checksum_is_right: bool | None = None
     while at < end:
         stop = at
-        for opcode, start, stop in _frames(data, at, end):
+        for opcode, start, stop in _find_frames(data, at, end):
             if opcode == Opcode.CHUNK:
                 found.chunk_starts.add(start - _HEAD)
             elif opcode == Opcode.MESSAGE:
@@ -179,10 +179,10 @@ def _walk_records(data: mmap.mmap, found: _Found) -> None:
     found.data_checksum_differs = checksum_is_right is False
 
 
-def _frames(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
+def _find_frames(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
     """Yield kind, start and end of the bodies of records, as long as their heads make sense; ends with (0, at, at)."""
     while at + _HEAD <= end:
-        opcode, length = data[at], _length(data, at)
+        opcode, length = data[at], _read_length(data, at)
         if not 0 < opcode <= _LAST_OPCODE or length > end - at - _HEAD:
             yield 0, at, at
             return
@@ -190,7 +190,7 @@ def _frames(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]
         at += _HEAD + length
 
 
-def _length(data: mmap.mmap, at: int) -> int:
+def _read_length(data: mmap.mmap, at: int) -> int:
     return int.from_bytes(data[at + 1 : at + _HEAD], "little")
 
 
@@ -221,13 +221,13 @@ def _read_chunks(path: Path, data: mmap.mmap, found: _Found) -> Iterator[Block]:
     reader.schemas, reader.channels = found.schemas, found.channels
     for start in sorted(found.chunk_starts):
         try:
-            chunk = parse_record(Chunk, _chunk_body(data, start))
+            chunk = parse_record(Chunk, _find_chunk_body(data, start))
             if not chunk.data and start not in found.indexes:
                 continue  # bytes that look like a chunk by chance
             yield reader.read_block(unpack_chunk(chunk))
         except DamagedError as error:
             index = found.indexes.get(start)
-            span = "" if index is None else f", {_span(index)}"
+            span = "" if index is None else f", {_format_span(index)}"
             found.lost.append(f"the chunk at byte {start}{span}: {error}")
     for start, stop in found.loose:
         try:
@@ -237,15 +237,15 @@ def _read_chunks(path: Path, data: mmap.mmap, found: _Found) -> Iterator[Block]:
     found.attachments |= reader.attachments
 
 
-def _chunk_body(data: mmap.mmap, start: int) -> bytes:
-    """The body of a chunk; its own count of bytes holds, for the length in front of the record may be damaged."""
+def _find_chunk_body(data: mmap.mmap, start: int) -> bytes:
+    """Return the body of a chunk, by its own count of bytes: the length in front of the record may be damaged."""
     name_length = int.from_bytes(data[start + _MARK_OFFSET : start + _MARK_OFFSET + 4], "little")
     records_at = start + _MARK_OFFSET + 4 + min(name_length, 64)
     size = int.from_bytes(data[records_at : records_at + 8], "little")
     return data[start + _HEAD : min(records_at + 8 + size, len(data))]
 
 
-def _span(index: ChunkIndex) -> str:
+def _format_span(index: ChunkIndex) -> str:
     seconds = (index.message_end_time - index.message_start_time) / 1e9
     return f"{seconds:.3f} s from {index.message_start_time / 1e9:.3f} s on"
 
@@ -267,6 +267,7 @@ def _read_facts(found: _Found) -> tuple[str, dict[str, Any] | None]:
 
 
 def _read_expected_counts(found: _Found, facts: Mapping[str, Any] | None) -> dict[str, int]:
+    """Return the messages per topic that the file should hold, by its facts, else by its statistics."""
     if facts is not None:
         return {str(topic): int(count) for topic, count in facts["samples"].items()}
     counts: dict[str, int] = {}
@@ -290,7 +291,7 @@ def _drop_unpaired(blocks: list[Block], found: _Found, kind: str) -> list[Block]
             partners.setdefault(topic.stream, []).extend(numbers)
     allowed: dict[int, NDArray[np.uint64]] = {}
     for numbers in partners.values():
-        stamps = [_stamps(blocks, number) for number in numbers]
+        stamps = [_collect_stamps(blocks, number) for number in numbers]
         common = stamps[0]
         for more in stamps[1:]:
             common = np.intersect1d(common, more)
@@ -301,7 +302,7 @@ def _drop_unpaired(blocks: list[Block], found: _Found, kind: str) -> list[Block]
     return [_select(block, allowed) for block in blocks]
 
 
-def _stamps(blocks: list[Block], number: int) -> NDArray[np.uint64]:
+def _collect_stamps(blocks: list[Block], number: int) -> NDArray[np.uint64]:
     found = [block.heads[number]["log_time"] for block in blocks if number in block.heads]
     return np.concatenate(found) if found else np.empty(0, np.uint64)
 
@@ -319,7 +320,8 @@ def _select(block: Block, allowed: Mapping[int, NDArray[np.uint64]]) -> Block:
     )
 
 
-def _count(blocks: list[Block], found: _Found) -> dict[str, int]:
+def _count_messages(blocks: list[Block], found: _Found) -> dict[str, int]:
+    """Return the messages per topic in the blocks."""
     kept: dict[str, int] = {}
     for block in blocks:
         for number, heads in block.heads.items():
@@ -339,8 +341,8 @@ def _note_losses(facts: dict[str, Any], kind: str, kept: Mapping[str, int], lost
     return {**facts, "samples": samples}
 
 
-def _repack(block: Block) -> tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]:
-    """The bytes of the messages of a block, packed in their order, and the message index of each channel, by time."""
+def _pack_again(block: Block) -> tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]:
+    """Return the messages of a block packed in their order, and the message index of each channel, by time."""
     numbers = np.concatenate([np.full(len(heads), number) for number, heads in block.heads.items()])
     offsets = np.concatenate(list(block.offsets.values()))
     heads = np.concatenate(list(block.heads.values()))

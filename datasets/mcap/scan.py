@@ -72,6 +72,7 @@ class Scan:
     """Iterate over :meth:`blocks` to the end; then the other attributes are complete."""
 
     def __init__(self, path: Path) -> None:
+        """Begin without messages; no file is opened."""
         self.path = path
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -90,6 +91,7 @@ class Scan:
             raise BadFile(f"{self.path}: cannot be opened ({error.strerror}); {hint}") from error
 
     def _read(self, file: IO[bytes]) -> Iterator[Block]:
+        """Yield the messages of an open file; raises :class:`BadFile` for damage other than a cut end."""
         size = file.seek(0, io.SEEK_END)
         file.seek(max(size - len(MAGIC), 0))
         whole = file.read() == MAGIC and size > len(MAGIC)
@@ -99,7 +101,7 @@ class Scan:
             raise BadFile(f"{self.path}: {what}; name a file that stillpoint or a recorder wrote")
         records = _Records(file, size)
         try:
-            yield from self._data_section(records)
+            yield from self._read_data(records)
             self._read_summary(file.read())
         except DamagedError as error:
             if whole or records.ended:
@@ -107,7 +109,7 @@ class Scan:
                 raise BadFile(f"{where}: {error}; restore it from a copy") from None
             self.lost = f"the file is cut short, nothing could be read from byte {records.start} of {size} on ({error})"
 
-    def _data_section(self, records: "_Records") -> Iterator[Block]:
+    def _read_data(self, records: "_Records") -> Iterator[Block]:
         """Yield all records up to the one that ends the data; what came whole before a damage is handed out first."""
         chunk: bytes | None = None
         listed: list[bytes] = []  # the message indexes of the chunk
@@ -168,7 +170,7 @@ class Scan:
     def _find_messages(self, data: bytes, listed: Sequence[bytes]) -> Block:
         """Find the messages in the bytes of a chunk in any order, and take the other records in it."""
         places = [read_offsets(body) for body in listed]
-        offsets, others = _records_of(data, np.concatenate(places) if places else np.empty(0, np.int64))
+        offsets, others = _find_records(data, np.concatenate(places) if places else np.empty(0, np.int64))
         for opcode, begin, end in others:
             self.take_fact(opcode, data[begin:end])
         block = Block(data, {}, {})
@@ -207,7 +209,8 @@ class _Records:
         self.start = self._end = file.tell()
         self.ended = False  # the record that ends the data was read
 
-    def _next(self) -> tuple[bytes, bytes]:
+    def _read_next(self) -> tuple[bytes, bytes]:
+        """Return head and body of the next record; raises :class:`DamagedError`."""
         self.start = self._end
         head = self.file.read(_HEAD.size)
         if len(head) < _HEAD.size:
@@ -220,9 +223,10 @@ class _Records:
         return head, self.file.read(length)
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        """Yield kind and body of the records of the data, and check its checksum at the end."""
         crc = crc32(MAGIC)
         while True:
-            head, body = self._next()
+            head, body = self._read_next()
             if head[0] == Opcode.DATA_END:
                 self.ended = True
                 if parse_record(DataEnd, body).data_section_crc not in (0, crc):
@@ -236,7 +240,7 @@ class _Records:
     def until_footer(self) -> Iterator[tuple[int, bytes]]:
         """Yield the records of the summary."""
         while True:
-            head, body = self._next()
+            head, body = self._read_next()
             if head[0] == Opcode.FOOTER:
                 return
             yield head[0], body
@@ -264,6 +268,7 @@ class _Bytes(ReadDataStream):
         self.left = len(data)
 
     def read(self, length: int) -> bytes:
+        """Return the next bytes; raises ``ValueError`` beyond the end."""
         self.left -= length
         if self.left < 0:
             raise ValueError("a length points past its end")
@@ -297,6 +302,7 @@ def _unpack_record(body: bytes) -> bytes:
 
 
 def _unpack_checked(packed: bytes | memoryview, compression: str, size: int, crc: int) -> bytes:
+    """Return the records of a chunk; raises :class:`DamagedError` where they cannot be unpacked or differ."""
     try:
         data = unpack(packed, compression, size)
     except ValueError as error:
@@ -403,7 +409,7 @@ def _read_first_turn(data: bytes) -> list[tuple[int, int, int]]:
     return found if at == len(data) else []
 
 
-def _records_of(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:
+def _find_records(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:
     """Return offsets of all messages in ``data``, and (opcode, begin, end) of its other records.
 
     ``listed`` comes from message indexes and is only a hint: what it leaves out is found by walking the gaps, and

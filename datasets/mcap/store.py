@@ -75,7 +75,7 @@ def write(
     be written, :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
     kind = kind_of(thing)
-    streams, absent = _templates(kind, thing)
+    streams, absent = _make_templates(kind, thing)
     samples = _count_samples(kind, thing, [stream.topic for stream in streams])
     streams = [stream for stream in streams if samples.get(stream.topic)]
     level = ZSTD_LEVEL if kind == "recording" else _TRAJECTORY_LEVEL
@@ -84,7 +84,7 @@ def write(
         record = _record(kind, facts_of(thing), samples, absent)
         out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, attachments or {})
         for piece, until_ns in _cut_pieces(thing):
-            out.add(_streams(kind, piece)[0], until_ns)
+            out.add(_make_streams(kind, piece)[0], until_ns)
 
 
 def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Piece]]) -> None:
@@ -97,12 +97,14 @@ def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Pie
     extra: dict[str, Series] = {}
     counts: Counter[str] = Counter()
     for piece in pieces():
-        rows = _first_rows(piece)
+        rows = _take_first_rows(piece)
         assert isinstance(rows, Piece)
         first = {name: getattr(rows, name) for name in _STREAMS if getattr(rows, name) is not None} | first
         extra = {**rows.extra, **extra}
-        counts.update(_count_samples("recording", piece, [stream.topic for stream in _templates("recording", rows)[0]]))
-    templates, absent = _templates("recording", Piece(**first, extra=extra))
+        counts.update(
+            _count_samples("recording", piece, [stream.topic for stream in _make_templates("recording", rows)[0]])
+        )
+    templates, absent = _make_templates("recording", Piece(**first, extra=extra))
     streams = [stream for stream in templates if counts[stream.topic]]
     samples = {stream.topic: counts[stream.topic] for stream in streams}
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
@@ -112,7 +114,7 @@ def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Pie
         )
         for piece in pieces():
             last_ns = max(int(t_ns[-1]) for _, t_ns in piece.streams())
-            out.add(_streams("recording", piece)[0], last_ns + 1)
+            out.add(_make_streams("recording", piece)[0], last_ns + 1)
 
 
 def write_trajectory_pieces(
@@ -127,7 +129,7 @@ def write_trajectory_pieces(
     """
     first = next(pieces)
     kind = kind_of(first)
-    streams, absent = _templates(kind, first)
+    streams, absent = _make_templates(kind, first)
     counts = {stream.topic: samples for stream in streams}
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL) as out:
         out.declare(streams)
@@ -136,25 +138,25 @@ def write_trajectory_pieces(
         for piece in chain([first], pieces):
             for part, _ in _cut_pieces(piece):
                 assert isinstance(part, Reference | Estimate)
-                out.add(_streams(kind, part)[0], int(part.t_ns[-1]) + 1)
+                out.add(_make_streams(kind, part)[0], int(part.t_ns[-1]) + 1)
 
 
-def _templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
+def _make_templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
     """Return one message of each topic, in the order of the file, and which fields are None.
 
     The exact remainder of the magnetometer has its topic, whether a row needs it or not.
     """
-    streams, absent = _streams(kind, _first_rows(thing))
+    streams, absent = _make_streams(kind, _take_first_rows(thing))
     mag = thing.mag if isinstance(thing, Recording | Piece) else None
     if mag is not None:
         topic = next(topic for topic in TOPICS if topic.name == MAG_REMAINDER)
-        remainder = _stream(topic, mag.t_ns[:1], {"remainder_b_ut": mag.mag_b_ut[:1]})
+        remainder = _make_stream(topic, mag.t_ns[:1], {"remainder_b_ut": mag.mag_b_ut[:1]})
         streams = [stream for stream in streams if stream.topic != MAG_REMAINDER]
         streams.insert([stream.topic for stream in streams].index(MAG_FIELD), remainder)
     return streams, absent
 
 
-def _first_rows(thing: Kept | Piece) -> Kept | Piece:
+def _take_first_rows(thing: Kept | Piece) -> Kept | Piece:
     """Return the first sample of every stream."""
     if not isinstance(thing, Recording | Piece):
         return thing if len(thing.t_ns) <= _ROWS_AT_ONCE else slice_stream(thing, 0, 1)
@@ -237,7 +239,7 @@ class TrajectoryWriter:
 
     def add(self, piece: Reference | SpinReference | Estimate) -> None:
         """Write the samples of a piece, which come after those before; its facts do not matter yet."""
-        streams, _ = _streams(kind_of(piece), piece)
+        streams, _ = _make_streams(kind_of(piece), piece)
         if not self._samples:
             self._out.declare(streams)
         for stream in streams:
@@ -250,7 +252,7 @@ class TrajectoryWriter:
         Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
         """
         kind = kind_of(last)
-        _, absent = _streams(kind, last)
+        _, absent = _make_streams(kind, last)
         record = _record(kind, facts_of(last), self._samples, absent)
         self._out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, {})
 
@@ -271,15 +273,16 @@ class RecordingWriter:
     """Writes a recording piece by piece; the bytes do not depend on where the pieces end."""
 
     def __init__(self, out: MessageWriter, head: Head, first: Piece) -> None:
+        """Declare the topics of the first piece, and describe the recording."""
         self._out, self._first = out, first
-        streams, self._absent = _templates("recording", first)
+        streams, self._absent = _make_templates("recording", first)
         self._samples: dict[str, int] = {}
         out.declare(streams)
         out.describe({RECORD: self._make_record(head)}, {})
 
     def add(self, piece: Piece, until_ns: int) -> None:
         """Write the samples of a piece; no later one lies before ``until_ns``."""
-        streams, _ = _streams("recording", piece)
+        streams, _ = _make_streams("recording", piece)
         for stream in streams:
             self._samples[stream.topic] = self._samples.get(stream.topic, 0) + len(stream.t_ns)
         self._out.add(streams, until_ns)
@@ -299,7 +302,7 @@ def contents_of(thing: Kept) -> tuple[list[Stream], dict[str, str]]:
     Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
     kind = kind_of(thing)
-    streams, absent = _streams(kind, thing)
+    streams, absent = _make_streams(kind, thing)
     samples = {stream.topic: len(stream.t_ns) for stream in streams}
     return streams, _record(kind, facts_of(thing), samples, absent)
 
@@ -330,7 +333,7 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
     check_readable(log)
     check_counts(log, samples)
     if kind == "recording":
-        return make_checked(log, lambda: _recording(log, facts, samples, absent, units_unchecked))
+        return make_checked(log, lambda: _make_recording(log, facts, samples, absent, units_unchecked))
     return make_checked(log, lambda: make_trajectory(log, kind, facts, absent))
 
 
@@ -436,14 +439,14 @@ def sha256(path: Path | str) -> str:
         raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error
 
 
-def _streams(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
+def _make_streams(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
     """Return the messages of each topic, and which fields of them are None ("/truth/pose position_n_m")."""
     streams, absent = [], []
     for topic in TOPICS:
         if topic.kind != kind:
             continue
         if topic.name == MAG_REMAINDER:
-            streams += _mag_remainder(topic, thing.mag if isinstance(thing, Recording | Piece) else None)
+            streams += _find_mag_remainder(topic, thing.mag if isinstance(thing, Recording | Piece) else None)
             continue
         holder: Any = getattr(thing, topic.stream) if topic.stream else thing
         if holder is None:
@@ -454,22 +457,23 @@ def _streams(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
         if topic.stream == "mag":
             given["mag_b_ut"] = tesla(given["mag_b_ut"])[0]
         absent += [f"{topic.name} {name}" for name, values in given.items() if values is None]
-        streams.append(_stream(topic, holder.t_ns, given))
+        streams.append(_make_stream(topic, holder.t_ns, given))
     for name, series in thing.extra.items() if isinstance(thing, Recording | Piece) else ():
-        streams.append(_stream(extra_topic(name, series.labels), series.t_ns, {"values": series.values}))
+        streams.append(_make_stream(extra_topic(name, series.labels), series.t_ns, {"values": series.values}))
     return streams, absent
 
 
-def _mag_remainder(topic: Topic, mag: Mag | None) -> list[Stream]:
+def _find_mag_remainder(topic: Topic, mag: Mag | None) -> list[Stream]:
     """Return the rows whose microtesla are no double in tesla times a million; see :func:`topics.tesla`."""
     if mag is None:
         return []
     remainder = tesla(mag.mag_b_ut)[1]
     rows = (remainder != 0).any(axis=1)
-    return [_stream(topic, mag.t_ns[rows], {"remainder_b_ut": remainder[rows]})] if rows.any() else []
+    return [_make_stream(topic, mag.t_ns[rows], {"remainder_b_ut": remainder[rows]})] if rows.any() else []
 
 
-def _stream(topic: Topic, t_ns: NDArray[np.int64], given: Mapping[str, NDArray[Any] | None]) -> Stream:
+def _make_stream(topic: Topic, t_ns: NDArray[np.int64], given: Mapping[str, NDArray[Any] | None]) -> Stream:
+    """Return the messages of one topic with the values (N, ...) of its fields."""
     columns: dict[str, NDArray[Any]] = {}
     constants = dict(topic.constants)
     contents = []
@@ -522,7 +526,7 @@ def open_facts(log: Log) -> tuple[str, dict[str, Any]]:
     return kind, facts
 
 
-def _columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.int64], dict[str, Any]]:
+def _read_columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """Return stamps and columns of one topic, in the shapes that they have in memory."""
     found = log.topics[topic.name]
     columns: dict[str, Any] = {}
@@ -536,7 +540,7 @@ def _columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.
     return found.t_ns, columns
 
 
-def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _join_columns(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return per stream ("" for the thing itself) ``t_ns`` and columns, joined from their topics.
 
     Where a cut file lacks the last messages of one topic of a stream, the others are cut to the same length.
@@ -545,7 +549,7 @@ def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, 
     for topic in TOPICS:
         if topic.kind != kind or topic.drawn or topic.name not in log.topics or not len(log.topics[topic.name].t_ns):
             continue
-        t_ns, columns = _columns(log, topic, absent)
+        t_ns, columns = _read_columns(log, topic, absent)
         holder = holders.setdefault(topic.stream, {"t_ns": t_ns})
         n = min(len(t_ns), len(holder["t_ns"]))
         if not np.array_equal(t_ns[:n], holder["t_ns"][:n]) or (not log.lost and len(t_ns) != len(holder["t_ns"])):
@@ -554,9 +558,10 @@ def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, 
     return holders
 
 
-def _recording(
+def _make_recording(
     log: Log, facts: Mapping[str, Any], samples: Mapping[str, int], absent: Sequence[str], units_unchecked: bool
 ) -> Recording:
+    """Return the recording in a file, from its messages and facts."""
     streams, extra = make_streams(log, facts, absent)
     base_pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
     info = make_info(log, facts, samples, units_unchecked)
@@ -565,10 +570,10 @@ def _recording(
 
 def make_streams(log: Log, facts: Mapping[str, Any], absent: Sequence[str]) -> tuple[dict[str, Any], dict[str, Series]]:
     """Return the streams of a recording that a log has messages of, by name, and the further series."""
-    holders = _holders(log, "recording", absent)
+    holders = _join_columns(log, "recording", absent)
     remainder = holders.pop("mag_remainder", None)
     if "mag" in holders:
-        holders["mag"] = _mag(log, holders["mag"], remainder)
+        holders["mag"] = _make_mag(log, holders["mag"], remainder)
     if "spin" in holders:
         holders["spin"]["geometry"] = spin_geometry_from(facts)
     streams = {name: _STREAMS[name](**holder) for name, holder in holders.items()}
@@ -594,7 +599,8 @@ def make_info(log: Log, facts: Mapping[str, Any], samples: Mapping[str, int], un
     return replace(info, units_unchecked=True) if units_unchecked else info
 
 
-def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any] | None) -> dict[str, Any]:
+def _make_mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return stamps and field (N, 3) in µT, exactly as written: tesla and, where it exists, their remainder."""
     t_ns, field_t = tesla_columns["t_ns"], tesla_columns["mag_b_ut"]
     if remainder is None:
         return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t)}
@@ -611,12 +617,13 @@ def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any
 
 def make_trajectory(log: Log, kind: str, facts: Mapping[str, Any], absent: Sequence[str]) -> Kept:
     """Return the reference or estimate that facts and the messages of a log make."""
-    columns = _holders(log, kind, absent)[""]
+    columns = _join_columns(log, kind, absent)[""]
     keywords = reference_facts(facts) if kind == "reference" else dict(facts)
     return KINDS[kind](**columns, **keywords)
 
 
 def _require_kind(path: Path | str, wanted: type[OneKind], thing: Kept) -> OneKind:
+    """Return the thing; raises :class:`BadFile` when it is of another kind."""
     if isinstance(thing, wanted):
         return thing
     needed = next(kind for kind, of_kind in KINDS.items() if of_kind is wanted)

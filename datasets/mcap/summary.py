@@ -102,6 +102,7 @@ def _read_stamps(
 
 
 def _summarise_stream(name: str, samples: int, stamps: Sequence[NDArray[np.int64]]) -> StreamSummary:
+    """Return samples, span in ns and median step in ns of a stream, from its stamps in parts."""
     steps = np.concatenate([np.diff(part) for part in stamps])
     return StreamSummary(
         name,

@@ -46,19 +46,19 @@ class Topic:
     drawn: bool = False  # True: a copy for 3D viewers, not read back
 
 
-def _xyz(path: str) -> tuple[str, ...]:
+def _list_xyz(path: str) -> tuple[str, ...]:
     return tuple(f"{path}.{axis}" for axis in "xyz")
 
 
-def _wxyz(path: str) -> tuple[str, ...]:
+def _list_wxyz(path: str) -> tuple[str, ...]:
     return tuple(f"{path}.{axis}" for axis in "wxyz")
 
 
-def _flag(name: str, leaf: str = "data") -> Column:
+def _make_flag(name: str, leaf: str = "data") -> Column:
     return Column(name, (leaf,), "", to_file=lambda a: a.astype(np.uint8), from_file=lambda a: a.astype(np.bool_))
 
 
-def _block_of_36(name: str, leaf: str, unit: str, derived: bool = False) -> Column:
+def _make_block_of_36(name: str, leaf: str, unit: str, derived: bool = False) -> Column:
     """Return a covariance (N, 3, 3) as the upper left block of ROS's 6 x 6, row-major; the rest is 0, not stated."""
 
     def to_file(cov: Array) -> Array:
@@ -95,20 +95,20 @@ TOPICS: tuple[Topic, ...] = (
         "recording", "imu", "/imu/data_raw", IMU,
         "angular rate over the interval that ends at the stamp, specific force (+g up at rest)",
         (
-            Column("gyro_b_radps", _xyz("angular_velocity"), "rad/s", (3,)),
-            Column("accel_b_mps2", _xyz("linear_acceleration"), "m/s²", (3,)),
+            Column("gyro_b_radps", _list_xyz("angular_velocity"), "rad/s", (3,)),
+            Column("accel_b_mps2", _list_xyz("linear_acceleration"), "m/s²", (3,)),
         ),
         BODY_FRAME, {"orientation.w": 1.0, "orientation_covariance": _NO_ESTIMATE},
     ),
     Topic(
         "recording", "mag_remainder", MAG_REMAINDER, VECTOR,
         "what field × 10⁶ lacks to the microtesla in memory, where that product rounds; rows that need it only",
-        (Column("remainder_b_ut", _xyz("vector"), "µT", (3,)),),
+        (Column("remainder_b_ut", _list_xyz("vector"), "µT", (3,)),),
         BODY_FRAME,
     ),
     Topic(
-        "recording", "mag", MAG_FIELD, MAG, "magnetic field", (Column("mag_b_ut", _xyz("magnetic_field"), "T", (3,)),),
-        BODY_FRAME,
+        "recording", "mag", MAG_FIELD, MAG, "magnetic field",
+        (Column("mag_b_ut", _list_xyz("magnetic_field"), "T", (3,)),), BODY_FRAME,
     ),
     Topic(
         "recording", "gps", "/gps/fix", "sensor_msgs/msg/NavSatFix", "satellite fix, WGS 84",
@@ -151,12 +151,12 @@ TOPICS: tuple[Topic, ...] = (
     Topic(
         "recording", "truth", "/truth/pose", POSE, "independent truth; a position may be NaN",
         (
-            Column("q_nb", _wxyz("pose.orientation"), "", (4,)),
-            Column("position_n_m", _xyz("pose.position"), "m", (3,)),
+            Column("q_nb", _list_wxyz("pose.orientation"), "", (4,)),
+            Column("position_n_m", _list_xyz("pose.position"), "m", (3,)),
         ),
         LOCAL_FRAME,
     ),
-    Topic("recording", "truth", "/truth/moving", _BOOL, "the samples of the truth that count", (_flag("moving"),)),
+    Topic("recording", "truth", "/truth/moving", _BOOL, "the samples of the truth that count", (_make_flag("moving"),)),
     Topic(
         "recording", "roll_truth", "/truth/roll", _JOINTS, "true angle (unwrapped) and rate about the spin axis",
         (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
@@ -166,14 +166,14 @@ TOPICS: tuple[Topic, ...] = (
         "reference", "", "/reference/attitude", IMU,
         "attitude; orientation_covariance is that of the small rotation d in q · exp(d), d in body axes, row-major",
         (
-            Column("q_nb", _wxyz("orientation"), "", (4,)),
+            Column("q_nb", _list_wxyz("orientation"), "", (4,)),
             Column("cov_b_rad2", ("orientation_covariance",), "rad²", (3, 3)),
         ),
         LOCAL_FRAME, _ATTITUDE_ONLY,
     ),
     Topic(
         "reference", "", "/reference/gyro_bias", VECTOR, "bias of the gyro",
-        (Column("gyro_bias_b_radps", _xyz("vector"), "rad/s", (3,)),),
+        (Column("gyro_bias_b_radps", _list_xyz("vector"), "rad/s", (3,)),),
         BODY_FRAME,
     ),
     Topic(
@@ -181,11 +181,11 @@ TOPICS: tuple[Topic, ...] = (
         "where there are satellites: position in East-North-Up of the origin in the facts, with covariance; the twist "
         "is the velocity in body axes, for viewers",
         (
-            Column("position_n_m", _xyz("pose.pose.position"), "m", (3,)),
-            _block_of_36("position_cov_n_m2", "pose.covariance", "m²"),
-            Column("q_nb", _wxyz("pose.pose.orientation"), "", (4,), derived=True),
-            Column("velocity_b_mps", _xyz("twist.twist.linear"), "m/s", (3,), derived=True),
-            _block_of_36("velocity_cov_b_m2ps2", "twist.covariance", "m²/s²", derived=True),
+            Column("position_n_m", _list_xyz("pose.pose.position"), "m", (3,)),
+            _make_block_of_36("position_cov_n_m2", "pose.covariance", "m²"),
+            Column("q_nb", _list_wxyz("pose.pose.orientation"), "", (4,), derived=True),
+            Column("velocity_b_mps", _list_xyz("twist.twist.linear"), "m/s", (3,), derived=True),
+            _make_block_of_36("velocity_cov_b_m2ps2", "twist.covariance", "m²/s²", derived=True),
         ),
         LOCAL_FRAME, {"child_frame_id": BODY_FRAME},
     ),
@@ -193,14 +193,14 @@ TOPICS: tuple[Topic, ...] = (
         "reference", "", "/reference/velocity", "geometry_msgs/msg/TwistWithCovarianceStamped",
         "where there are satellites: velocity in East-North-Up, with covariance",
         (
-            Column("velocity_n_mps", _xyz("twist.twist.linear"), "m/s", (3,)),
-            _block_of_36("velocity_cov_n_m2ps2", "twist.covariance", "m²/s²"),
+            Column("velocity_n_mps", _list_xyz("twist.twist.linear"), "m/s", (3,)),
+            _make_block_of_36("velocity_cov_n_m2ps2", "twist.covariance", "m²/s²"),
         ),
         LOCAL_FRAME,
     ),
     Topic(
         "reference", "", "/reference/pose", POSE, "the attitude once more, for 3D viewers; not read back",
-        (Column("q_nb", _wxyz("pose.orientation"), "", (4,)),),
+        (Column("q_nb", _list_wxyz("pose.orientation"), "", (4,)),),
         LOCAL_FRAME, drawn=True,
     ),
     Topic(
@@ -217,7 +217,7 @@ TOPICS: tuple[Topic, ...] = (
         "estimate", "", "/estimate/attitude", IMU,
         "attitude; covariance as in /reference/attitude, all zero where the estimator states none",
         (
-            Column("q_nb", _wxyz("orientation"), "", (4,)),
+            Column("q_nb", _list_wxyz("orientation"), "", (4,)),
             Column("cov_b_rad2", ("orientation_covariance",), "rad²", (3, 3)),
         ),
         LOCAL_FRAME, _ATTITUDE_ONLY,
@@ -234,7 +234,7 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic(
         "estimate", "", "/estimate/gyro_bias", VECTOR, "bias of the gyro",
-        (Column("gyro_bias_b_radps", _xyz("vector"), "rad/s", (3,)),),
+        (Column("gyro_bias_b_radps", _list_xyz("vector"), "rad/s", (3,)),),
         BODY_FRAME,
     ),
     Topic(
@@ -244,11 +244,11 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic(
         "estimate", "", "/estimate/ready", _BOOL, "0 while the estimator says that it is starting",
-        (_flag("ready"),),
+        (_make_flag("ready"),),
     ),
     Topic(
         "estimate", "", "/estimate/pose", POSE, "the attitude once more, for 3D viewers; not read back",
-        (Column("q_nb", _wxyz("pose.orientation"), "", (4,)),),
+        (Column("q_nb", _list_wxyz("pose.orientation"), "", (4,)),),
         LOCAL_FRAME, drawn=True,
     ),
 )  # fmt: skip

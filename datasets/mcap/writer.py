@@ -142,7 +142,7 @@ class MessageWriter:
 
     def declare(self, streams: Sequence[Stream]) -> None:
         """Declare all streams of the file, once; their rows do not matter, their columns and constants do."""
-        self._out.declare(*_declarations(streams))
+        self._out.declare(*_make_declarations(streams))
         groups: dict[str, list[_Messages]] = {}
         for k, stream in enumerate(streams):
             groups.setdefault(stream.group, []).append(_Messages(stream, k + 1))
@@ -182,6 +182,7 @@ class _Messages:
     """
 
     def __init__(self, stream: Stream, channel: int) -> None:
+        """Make the bytes of a message with all constants, and plan how the columns are copied into it."""
         self.topic, self.channel, self.done = stream.topic, channel, 0
         lengths: dict[str, int] = {}
         for leaf, value in stream.constants.items():
@@ -386,10 +387,12 @@ class _OpenChunk:
                 entries["offset"] += at
                 found.setdefault(channel, []).append(entries)
             at += len(buffer)
-        return _join([buffer for buffer, _ in self.laid]), {channel: _join(found[channel]) for channel in sorted(found)}
+        return _join_arrays([buffer for buffer, _ in self.laid]), {
+            channel: _join_arrays(found[channel]) for channel in sorted(found)
+        }
 
 
-def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def _join_arrays(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
@@ -405,7 +408,7 @@ class _Group:
         self.blanks: dict[tuple[int, ...], NDArray[np.uint8]] = {}  # by the channels that follow each other in turn
 
     def next_ns(self, until_ns: int | None) -> float:
-        """Return the time at which the next chunk begins, or, where there is no message yet, cannot begin before."""
+        """Return when the next chunk begins; without a message yet, the earliest time at which it can."""
         if self.finished:
             return self.finished[0].first_ns
         if self.open is not None:
@@ -451,7 +454,7 @@ class _Group:
             size = order.end_of(last - 1) - begin
             blank = self._find_blank(makers, begin % order.turn, size) if order.turn else _NO_BYTES
             part = _Part(size, order.turn, blank, rows)
-            self._append((number, span), order.time_of(first), part)
+            self._append_part((number, span), order.time_of(first), part)
             first = last
         self.size += order.end_of(order.count - 1)
 
@@ -464,7 +467,8 @@ class _Group:
             have = self.blanks[key] = np.tile(turn, -(-(begin + max(size, _CHUNK_BYTES)) // len(turn)) + 1)
         return have[begin : begin + size]
 
-    def _append(self, key: tuple[int, int], first_ns: int, part: _Part) -> None:
+    def _append_part(self, key: tuple[int, int], first_ns: int, part: _Part) -> None:
+        """Add messages to the open chunk; a part that belongs to another chunk finishes it."""
         if self.open is not None and self.open.key != key:
             self.finished.append(self.open)
             self.open = None
@@ -517,6 +521,7 @@ class _InTurn:
         return _find_time(self._t_ns, t_ns) * self._streams
 
     def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of a stream among some messages, and their offsets from the beginning of the first one."""
         own = first + (stream - first) % self._streams
         count = max(-(-(last - own) // self._streams), 0)
         row = own // self._streams
@@ -528,6 +533,7 @@ class _Merged:
     """Streams of different times, merged by time; at equal times the order is that of the streams."""
 
     def __init__(self, times: Sequence[NDArray[np.int64]], sizes: Sequence[int]) -> None:
+        """Sort the messages of all streams by time; at equal times in the order of the streams."""
         together = np.concatenate(times)
         which = np.repeat(np.arange(len(times), dtype=np.int32), [len(own) for own in times])
         order = np.argsort(together, kind="stable")
@@ -567,7 +573,7 @@ def _put_in_order(times: Sequence[NDArray[np.int64]], sizes: Sequence[int]) -> _
     return _Merged(times, sizes)
 
 
-def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel]]:
+def _make_declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel]]:
     """Return the schemas of the streams' types, and one channel per stream."""
     schemas: dict[str, Schema] = {}
     channels = []

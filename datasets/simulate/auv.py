@@ -219,21 +219,24 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
     """Return the path of one mission; the ascent is as steep as brings the vehicle back to the surface."""
     t = np.arange(-MARGIN_S, when.end_s + MARGIN_S, 1 / KNOTS_HZ)
 
-    def voyage(ascent_pitch_deg: float) -> Voyage:
+    def make_voyage(ascent_pitch_deg: float) -> Voyage:
+        """Return the voyage that ascends at this pitch."""
         euler = euler_ned_rad(sea, when, t, ascent_pitch_deg, seed)
         return Voyage(
-            make_interp_spline(t, euler, k=5), make_interp_spline(t, _velocities(sea, when, t, euler, seed), k=5), when
+            make_interp_spline(t, euler, k=5),
+            make_interp_spline(t, _compute_velocities(sea, when, t, euler, seed), k=5),
+            when,
         )
 
     def find_final_depth_m(ascent_pitch_deg: float) -> float:
-        return float(voyage(ascent_pitch_deg).position([when.end_s])[0, 2])
+        return float(make_voyage(ascent_pitch_deg).position([when.end_s])[0, 2])
 
-    return voyage(brentq(find_final_depth_m, 0.5 * _DIVE_PITCH_DEG, 2.0 * _DIVE_PITCH_DEG, xtol=1e-3))
+    return make_voyage(brentq(find_final_depth_m, 0.5 * _DIVE_PITCH_DEG, 2.0 * _DIVE_PITCH_DEG, xtol=1e-3))
 
 
 def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
     """Return roll, pitch, heading (N, 3) in North-East-Down."""
-    rough = _roughness(sea, when, t_s)
+    rough = _compute_roughness(sea, when, t_s)
     roll = rough * sea.roll_deg * sum_waves(_ROLLING, t_s, seed, "roll")
     pitch = rough * sea.pitch_deg * sum_waves(_PITCHING, t_s, seed, "pitch")
     pitch += -_DIVE_PITCH_DEG * _smooth_window(when.dive_s, when.cruise_s, t_s, 2.5)
@@ -244,14 +247,14 @@ def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, 
     return np.deg2rad(np.column_stack([roll, pitch, heading]))
 
 
-def _velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
+def _compute_velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
     """Return the velocity in n (N, 3): along the body's x axis, plus the waves across the heading and upwards."""
     _, pitch, heading = euler_rad.T
     below = _smooth_window(when.dive_s, when.surfaced_s, t_s, 6.0)
     speed = _SPEED_MPS[0] + (_SPEED_MPS[1] - _SPEED_MPS[0]) * below
     forward = np.column_stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
     right = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros_like(heading)])
-    rough = _roughness(sea, when, t_s)
+    rough = _compute_roughness(sea, when, t_s)
     sway = rough * sea.sway_mps2 * sum_waves(_SWAYING, t_s, seed, "sway") / (2 * np.pi * _SWAYING[0][1])
     heave = rough * sea.heave_mps2 * sum_waves(_HEAVING, t_s, seed, "heave") / (2 * np.pi * _HEAVING[0][1])
     moved = speed[:, None] * forward + sway[:, None] * right
@@ -259,7 +262,7 @@ def _velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: in
     return moved
 
 
-def _roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
+def _compute_roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
     """Return the share of the waves that the vehicle feels: 1 on the surface."""
     return 1 - (1 - sea.share_below) * _smooth_window(when.dive_s, when.surfaced_s, t_s, 5.0)
 

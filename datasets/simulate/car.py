@@ -98,7 +98,9 @@ def simulate_drive(kind: str, sensor: CarSensor, seed: int, minutes: float, rate
     path = _plan_drive(minutes * 60, seed)
     facts = {"body_axes": "forward, left, up", "receiver": asdict(sensor.receiver)}
     recording = record_path(path, sensor, TOWN, Order(kind, seed, minutes, rate_hz), facts)
-    return replace(recording, gps=_fixes(path, sensor, seed), extra={"wheel": _wheel(path, sensor.wheel, seed)})
+    return replace(
+        recording, gps=_measure_fixes(path, sensor, seed), extra={"wheel": _measure_wheel(path, sensor.wheel, seed)}
+    )
 
 
 def _plan_drive(total_s: float, seed: int) -> Drive:
@@ -130,7 +132,8 @@ def _plan_drive(total_s: float, seed: int) -> Drive:
     return Drive(euler, velocity, Phases(0.0, 0.0, 0.0, 0.0, total_s))
 
 
-def _fixes(path: Drive, sensor: CarSensor, seed: int) -> Gps:
+def _measure_fixes(path: Drive, sensor: CarSensor, seed: int) -> Gps:
+    """Return the fixes of the receiver: late by its latency, and none in the tunnel."""
     receiver = sensor.receiver
     antenna = replace(path, antenna_b_m=(receiver.antenna_x_m, receiver.antenna_y_m, receiver.antenna_z_m))
     at = draw_sample_times(path, ClockModel(), _GPS_HZ, TOWN.world, seed, "gps")
@@ -142,7 +145,8 @@ def _fixes(path: Drive, sensor: CarSensor, seed: int) -> Gps:
     return replace(seen, t_ns=seen.t_ns + round(receiver.late_s * 1e9), valid=seen.valid & ~covered, **hidden)
 
 
-def _wheel(path: Drive, wheel: WheelModel, seed: int) -> Series:
+def _measure_wheel(path: Drive, wheel: WheelModel, seed: int) -> Series:
+    """Return the speed that the wheels give, with an error of scale and noise."""
     at = draw_sample_times(path, ClockModel(), _WHEEL_HZ, TOWN.world, seed, "wheel")
     draw = make_generator(seed, "wheel/errors")
     scale = 1 + wheel.scale_error * draw.standard_normal()

@@ -86,8 +86,8 @@ def measure_imu(
     response = make_generator(seed, "gyro/g-sensitivity").standard_normal((3, 3)) * np.deg2rad(
         gyro.g_sensitivity_degps_g
     )
-    rate += _specific_force_b(path, instants[1:], world) / STANDARD_GRAVITY_MPS2 @ response.T
-    force = _specific_force_b(path, at.t_s - accel.lag_s, world)
+    rate += _compute_specific_force_b(path, instants[1:], world) / STANDARD_GRAVITY_MPS2 @ response.T
+    force = _compute_specific_force_b(path, at.t_s - accel.lag_s, world)
     gyro_axes = Axes(
         noise_density=np.deg2rad(gyro.noise_density_degps_rthz),
         bias=np.deg2rad(gyro.turn_on_bias_degps),
@@ -118,7 +118,7 @@ def measure_imu(
     return Imu(at.stamp_ns, gyro_b, accel_b), {"gyro": gyro_drawn, "accel": accel_drawn}
 
 
-def _specific_force_b(path: Motion, t_s: Floats, world: World) -> Floats:
+def _compute_specific_force_b(path: Motion, t_s: Floats, world: World) -> Floats:
     """Return the specific force (N, 3) in m/s^2 at the origin of the body."""
     force_n = path.acceleration_n_mps2(t_s) + np.array([0.0, 0.0, world.gravity_mps2])
     return np.asarray(path.attitude(t_s).inv().apply(force_n))

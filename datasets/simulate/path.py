@@ -82,7 +82,7 @@ class Path:
         """
         t = self._clip_time(t_s)
         turn, turn_rate = self.turn_b_rad(t), self._turn_rate(t)
-        first, second, _, _ = _jacobian_shares(turn)
+        first, second, _, _ = _compute_jacobian_shares(turn)
         crossed = np.cross(turn, turn_rate)
         return np.asarray(turn_rate - first * crossed + second * np.cross(turn, crossed))
 
@@ -90,7 +90,7 @@ class Path:
         """Return the derivative of the angular rate, in body axes, (N, 3)."""
         t = self._clip_time(t_s)
         turn, turn_rate, turn_accel = self.turn_b_rad(t), self._turn_rate(t), self._turn_accel(t)
-        first, second, first_slope, second_slope = _jacobian_shares(turn)
+        first, second, first_slope, second_slope = _compute_jacobian_shares(turn)
         growth = np.sum(turn * turn_rate, axis=1, keepdims=True)
         once, once_rate = np.cross(turn, turn_rate), np.cross(turn, turn_accel)
         twice, twice_rate = np.cross(turn, once), np.cross(turn_rate, once) + np.cross(turn, once_rate)
@@ -150,7 +150,7 @@ class Path:
         return np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)
 
 
-def _jacobian_shares(turn: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def _compute_jacobian_shares(turn: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (1 - cos a) / a^2 and (a - sin a) / a^3 of the angles a of turns (N, 3), and their slopes over a; (N, 1).
 
     A slope over a times the turn's product with its rate is the derivative over time.

@@ -105,7 +105,7 @@ def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     rests = plan_rests(hand.initial_rest_s, total_s, seed, kind)
     turn_box, reach_box = np.deg2rad(hand.turn_deg), np.asarray(hand.reach_m)
     turn_s = partial(_turn_s, np.deg2rad(hand.peak_rate_degps))
-    reach_s, jolt_s = partial(_reach_s, hand.peak_accel_mps2), partial(_reach_s, hand.jolt_accel_mps2)
+    reach_s, jolt_s = partial(_find_reach_s, hand.peak_accel_mps2), partial(_find_reach_s, hand.jolt_accel_mps2)
     start = (0.0, np.zeros(3))
     turns, places, jolts = [start], [start], [start]
     for swing, (rest, following) in enumerate(pairwise(rests)):
@@ -171,7 +171,7 @@ def _turn_s(rate_radps: Floats, way_rad: Floats, speed: float) -> float:
     return max(_SHORTEST_TURN_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
 
 
-def _reach_s(accel_mps2: tuple[float, float], way_m: Floats, speed: float) -> float:
+def _find_reach_s(accel_mps2: tuple[float, float], way_m: Floats, speed: float) -> float:
     """Return the time of a minimum-jerk stroke, whose acceleration peaks at 10/sqrt(3) of its way over its time
     squared.
     """

@@ -86,6 +86,7 @@ def simulate_scene(
 
 
 def _shake(recording: Recording, vibration: Vibration, rng: np.random.Generator) -> Recording:
+    """Return the recording with bursts of vibration, during which gyro and accelerometer also shift."""
     imu = recording.require_imu()
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     shares = _draw_intervals(t_s, vibration.pause_s, lambda: rng.uniform(*vibration.burst_s), rng)
@@ -100,6 +101,7 @@ def _shake(recording: Recording, vibration: Vibration, rng: np.random.Generator)
 
 
 def _step_bias(recording: Recording, steps: BiasSteps, rng: np.random.Generator) -> Recording:
+    """Return the recording with steps of the gyro's bias at random times."""
     imu = recording.require_imu()
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     bias = np.zeros_like(imu.gyro_b_radps)

@@ -85,6 +85,7 @@ class Sensor:
     mag_clock: ClockModel = field(default_factory=ClockModel)
 
     def __post_init__(self) -> None:
+        """Check all values; raises :class:`BadParameter` for one that is not finite or negative."""
         for part, values in asdict(self).items():
             if part == "name":
                 continue

@@ -58,14 +58,14 @@ def simulate_trial(
     path = make_path(scenario.motor, minutes * 60, seed)
     step_ns = round(1e9 / rate_hz)
     t_ns = np.arange(max(int(round(minutes * 60e9) // step_ns), 2), dtype=np.int64) * step_ns
-    motion = _motion(scenario, path, sensor.tilt_deg, t_ns / 1e9)
+    motion = _compute_motion(scenario, path, sensor.tilt_deg, t_ns / 1e9)
     spin, drawn, notes = _spin(scenario.geometry, motion, sensor, t_ns, seed)
     motor = asdict(scenario.motor) | {"speed_degps": scenario.motor.speed_degps.__name__}
     flight = None if scenario.flight is None else asdict(scenario.flight)
     return Recording(
         f"{kind}-{sensor.name}-seed{seed}",
         spin=spin,
-        encoder=None if sensor.encoder is None or scenario.flight else _encoder(path, sensor.encoder, t_ns),
+        encoder=None if sensor.encoder is None or scenario.flight else _measure_encoder(path, sensor.encoder, t_ns),
         roll_truth=Encoder(t_ns, motion.angle_rad, motion.rate_radps[:, 0]),
         info=Info(
             source=f"stillpoint simulate {kind} --sensor {sensor.name} --seed {seed} --minutes {minutes:g} "
@@ -82,16 +82,17 @@ def simulate_trial(
     )
 
 
-def _motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Floats) -> _Motion:
+def _compute_motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Floats) -> _Motion:
+    """Return angle, rates and specific force at times (N,), on a tilted shaft or in flight."""
     angle, rate, accel = path.angle_rad(t_s), np.zeros((len(t_s), 3)), np.zeros((len(t_s), 3))
     rate[:, 0], accel[:, 0] = path.rate_radps(t_s), path.accel_radps2(t_s)
     if scenario.flight is None:
-        return _Motion(t_s, angle, rate, accel, _gravity_b_mps2(angle, np.deg2rad(tilt_deg)))
+        return _Motion(t_s, angle, rate, accel, _compute_gravity_b_mps2(angle, np.deg2rad(tilt_deg)))
     rate[:, 1:], accel[:, 1:] = coning_radps(scenario.flight, path, t_s)
     return _Motion(t_s, angle, rate, accel, braking_b_mps2(scenario.flight, path, t_s))
 
 
-def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
+def _compute_gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
     """Return the specific force (N, 3) in b that holds a tilted shaft; at angle 0 the body's z axis points up most."""
     across = np.sin(tilt_rad)
     up = [np.full(len(angle_rad), np.cos(tilt_rad)), across * np.sin(angle_rad), across * np.cos(angle_rad)]
@@ -105,12 +106,12 @@ def _spin(
     count = len(geometry.accel_r_b_m)
     parts = [sensor.centre] * (count - 2) + [sensor.radial, sensor.tangential]  # F4 and F5 are the last two
     made = [
-        _accelerometer(
+        _measure_accelerometer(
             part, geometry.accel_r_b_m[k], geometry.accel_axis_b[k], motion, sensor, seed, f"F{6 - count + k}"
         )
         for k, part in enumerate(parts)
     ]
-    gyro, gyro_bias = _gyros(geometry.gyro_axis_b, motion, sensor, seed)
+    gyro, gyro_bias = _measure_gyros(geometry.gyro_axis_b, motion, sensor, seed)
     came = make_generator(seed, "spin/lost").random(len(t_ns)) >= sensor.lost_share
     came[0] = True
     ranged = replace(geometry, accel_range_mps2=np.full(count, sensor.range_g * STANDARD_GRAVITY_MPS2))
@@ -122,7 +123,7 @@ def _spin(
     return spin, {"accelerometers": [drawn for _, drawn in made], "gyro_bias_radps": gyro_bias}, tuple(notes)
 
 
-def _accelerometer(
+def _measure_accelerometer(
     part: SpinAccel, stated_arm_m: Floats, axis: Floats, motion: _Motion, sensor: SpinSensor, seed: int, name: str
 ) -> tuple[Floats, dict[str, float]]:
     """Return samples (N,) with all their errors, and the errors drawn."""
@@ -130,9 +131,9 @@ def _accelerometer(
     error = {what: make_generator(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
     arm = stated_arm_m * (1 + error["arm"])
     ideal = specific_force(arm, motion.centre_b_mps2, motion.rate_radps, motion.accel_radps2) @ axis
-    felt = (ideal + _shaking(part, motion, seed, name)) * (1 + error["scale"]) + error["bias"] + part.offset_mps2
+    felt = (ideal + _shake_motor(part, motion, seed, name)) * (1 + error["scale"]) + error["bias"] + part.offset_mps2
     felt += part.noise_mps2 * make_generator(seed, f"spin/{name}/noise").standard_normal(len(felt))
-    spoilt, glitches = _glitches(part, motion.t_s, seed, f"spin/{name}")
+    spoilt, glitches = _draw_glitches(part, motion.t_s, seed, f"spin/{name}")
     felt += glitches
     limit = sensor.range_g * STANDARD_GRAVITY_MPS2
     if sensor.bits is not None:
@@ -142,14 +143,14 @@ def _accelerometer(
     return np.clip(felt, -limit, limit), drawn
 
 
-def _shaking(part: SpinAccel, motion: _Motion, seed: int, name: str) -> Floats:
+def _shake_motor(part: SpinAccel, motion: _Motion, seed: int, name: str) -> Floats:
     """Return the vibration of the motor (N,), with a random phase."""
     phases = make_generator(seed, f"spin/{name}/vibration").uniform(0, 2 * np.pi, 2)
     once, twice = np.sqrt(2) * part.vibration_1x_mps2, np.sqrt(2) * part.vibration_2x_mps2
     return np.asarray(once * np.sin(motion.angle_rad + phases[0]) + twice * np.sin(2 * motion.angle_rad + phases[1]))
 
 
-def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, Floats]:
+def _draw_glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, Floats]:
     """Return the number of glitches, and the size of each sample's glitch (N,) in m/s^2.
 
     One at a random instant of each stretch of 1 / rate: no recording of the paper's length is without any.
@@ -166,14 +167,14 @@ def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, 
     return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * STANDARD_GRAVITY_MPS2)
 
 
-def _gyros(axes: Floats, motion: _Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
+def _measure_gyros(axes: Floats, motion: _Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
     """Return samples (N, m) of the gyros at the instants of the stamps, and their biases."""
     bias = np.deg2rad(sensor.gyro_bias_degps) * make_generator(seed, "spin/gyro/bias").standard_normal(len(axes))
     noise = make_generator(seed, "spin/gyro/noise").standard_normal((len(motion.t_s), len(axes)))
     return motion.rate_radps @ axes.T + bias + np.deg2rad(sensor.gyro_noise_degps) * noise, bias.tolist()
 
 
-def _encoder(path: SpinPath, model: EncoderModel, t_ns: Times) -> Encoder:
+def _measure_encoder(path: SpinPath, model: EncoderModel, t_ns: Times) -> Encoder:
     """Return the counted angle, and the rate between the last edges of this sample and the one before, by the timer.
 
     The first rate is that of the second sample.

@@ -82,7 +82,7 @@ def decaying_spin(t_s: Floats) -> Floats:
 def make_path(motor: Motor, length_s: float, seed: int) -> SpinPath:
     """Return the path of a motor, or of a body that air slows."""
     knots_s = np.arange(int(np.ceil(length_s / _KNOT_S)) + 5) * _KNOT_S - 2 * _KNOT_S
-    speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _wandering(
+    speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _draw_wander(
         motor.ripple_s, len(knots_s), seed
     )
     drive = CubicSpline(knots_s, np.deg2rad(speed_degps)).antiderivative()
@@ -91,7 +91,7 @@ def make_path(motor: Motor, length_s: float, seed: int) -> SpinPath:
     return SpinPath(drive, motor.once_per_turn_degps / _RIPPLE_AT_DEGPS, phase)
 
 
-def _wandering(time_s: float, count: int, seed: int) -> Floats:
+def _draw_wander(time_s: float, count: int, seed: int) -> Floats:
     """Return white noise through two first-order lags, of unit standard deviation in the long run."""
     keep = np.exp(-_KNOT_S / time_s)
     settle = int(10 * time_s / _KNOT_S)

@@ -58,7 +58,8 @@ class SpinSensor:
     encoder: EncoderModel | None = field(default_factory=EncoderModel)  # None: there is none
 
     def __post_init__(self) -> None:
-        for part, name, value in _numbers(self):
+        """Check all values; raises :class:`BadParameter`."""
+        for part, name, value in _list_numbers(self):
             signed = name in ("offset_mps2", "tilt_deg", "latency_s")
             if value is not None and not (np.isfinite(value) and (signed or value >= 0)):
                 raise BadParameter(f"sensor {self.name}, {part}{name}: is {value:g}; give a finite value >= 0")
@@ -66,7 +67,7 @@ class SpinSensor:
             raise BadParameter(f"sensor {self.name}, lost_share: is {self.lost_share:g}; give a share below 1")
 
 
-def _numbers(sensor: SpinSensor) -> Iterator[tuple[str, str, float | None]]:
+def _list_numbers(sensor: SpinSensor) -> Iterator[tuple[str, str, float | None]]:
     """Yield part, name and value of every number in a sensor."""
     for each in fields(sensor):
         value: Any = getattr(sensor, each.name)

@@ -201,6 +201,7 @@ def _draw_series(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, 
 
 
 def _format_time_axis(ax: Axes, view: View) -> None:
+    """Shade the rests, and set the limits and ticks of the time axis."""
     start_s, end_s = view.seconds(np.array(view.span_ns))
     for first_s, last_s in view.seconds(view.rests_ns):
         if last_s > start_s and first_s < end_s:

@@ -127,6 +127,7 @@ def _choose_columns(series: int) -> int:
 
 
 def _compute_judge_sd_rad(comparison: Comparison, what: str) -> Floats:
+    """Return the judge's own standard deviation (N,) of total, heading or inclination."""
     cov_b = comparison.true_cov_b_rad2
     assert cov_b is not None
     if what == "total":
@@ -139,6 +140,7 @@ def _compute_judge_sd_rad(comparison: Comparison, what: str) -> Floats:
 def _make_angle_curves(
     comparisons: Mapping[str, Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int, columns: int
 ) -> Curves:
+    """Return the curves of roll, pitch and yaw in deg of the judge and of each estimate."""
     curves: Curves = {panel.key: {} for panel in _ANGLE_PANELS}
     attitudes = {_JUDGE: (truth.t_ns, truth.q_nb), **{name: (c.t_ns, c.q_est) for name, c in comparisons.items()}}
     for name, (t_ns, q_nb) in attitudes.items():
@@ -166,6 +168,7 @@ def _make_axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, colum
 
 
 def _make_bias_curves(made: Mapping[str, Estimate | Reference], zero_ns: int, columns: int) -> Curves:
+    """Return the curves of the gyro bias in deg/s of everything that states one."""
     curves: Curves = {panel.key: {} for panel in BIAS_PANELS}
     for name, thing in made.items():
         if thing.gyro_bias_b_radps is None:

@@ -21,6 +21,7 @@ def describe_reference(reference: Reference) -> dict[str, Any]:
 
 
 def _list_facts(reference: Reference) -> dict[str, str]:
+    """Return facts about a reference by their titles, as text."""
     diagnostics = reference.diagnostics
     sd_deg = np.rad2deg(total_sd_rad(reference.cov_b_rad2))
     rested_s = float(np.diff(reference.rests_ns, axis=1).sum()) / 1e9
@@ -82,6 +83,7 @@ def _list_calibration(found: Calibration) -> Mapping[str, Sequence[str]]:
 
 
 def _list_returns(reference: Reference) -> list[dict[str, Any]]:
+    """Return one row per return to the base pose; times in s from the start of the reference."""
     zero_ns = int(reference.t_ns[0])
     return [
         {

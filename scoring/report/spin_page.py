@@ -109,6 +109,7 @@ def _get_name(thing: SpinReference | Estimate) -> str:
 
 
 def _list_facts(recording: Recording) -> dict[str, str]:
+    """Return facts about a spin recording by their titles, with its accelerometers."""
     facts = describe_recording(recording)
     assert recording.spin is not None
     geometry = recording.spin.geometry

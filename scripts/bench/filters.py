@@ -77,6 +77,7 @@ def take_first(recording: Recording, n: int) -> Recording:
 
 
 def _make_rows(ours: list[str], seconds: dict[str, list[float]], n: int) -> list[Timing]:
+    """Return the rows of the table: the peers, ours, the kinds of each, and single calls of a stream."""
     share = f"(a hundredth, times {_HUNDREDTH})"
     peers: dict[str, Timing] = {}
     for name in (name for name in seconds if name not in ours and not name.startswith("stream ")):
@@ -102,6 +103,7 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
     rows = list(zip(*(column[:STREAMED].tolist() for column in columns), strict=True))
 
     def time_calls() -> float:
+        """Return the seconds of all calls of a new stream; the first call is not timed."""
         stream = Stream(name)
         update = stream.update
         update(*rows[0])
@@ -131,6 +133,7 @@ def _time_ahrs(recording: Recording, kind: str) -> Callable[[], float]:
 
 
 def _require_packages() -> None:
+    """Raise :class:`BadParameter` where a peer is not installed."""
     for name in _PEERS_PACKAGES:
         try:
             import_module(name)

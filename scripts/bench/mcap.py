@@ -106,6 +106,7 @@ class Peer:
     """The way that the documentation of ``mcap`` shows: one Python object per message."""
 
     def __init__(self) -> None:
+        """Import the peer; raises :class:`BadParameter` where it is not installed."""
         try:
             from mcap.reader import make_reader
             from mcap_ros2.decoder import DecoderFactory

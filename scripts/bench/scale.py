@@ -46,7 +46,7 @@ def bench_scale(_runs: int) -> list[Timing]:
     """
     with tempfile.TemporaryDirectory() as folder:
         files = [_write_recording(Path(folder), seed) for seed in range(_RECORDINGS)]
-        run_jobs(_process, files[:1], Workers(1), "compile")
+        run_jobs(_process_recording, files[:1], Workers(1), "compile")
         rows: list[Timing] = []
         for count in _COUNTS:
             pool = _time_batch(files, Workers(count), f"{count} local", rows[0] if rows else None)
@@ -65,7 +65,7 @@ def bench_scale(_runs: int) -> list[Timing]:
 def _time_batch(files: Sequence[Path], workers: Workers, name: str, against: Timing | None) -> Timing:
     """Return the row of all recordings; its note holds the rate, the memory and the share of compiling."""
     begun = time.perf_counter()
-    used: list[_Used] = _run(_process, files, workers)
+    used: list[_Used] = _run_all(_process_recording, files, workers)
     seconds = time.perf_counter() - begun
     peak_bytes = max(one.peak_bytes for one in used)
     compiling = sum(one.compiling_s for one in used) / sum(one.seconds for one in used)
@@ -87,7 +87,7 @@ def _time_batch(files: Sequence[Path], workers: Workers, name: str, against: Tim
 def _time_empty(workers: Workers, name: str, against: Timing | None) -> Timing:
     """Return the row of tasks that do nothing, from the second outcome on: the cost of passing them round."""
     arrived: list[float] = []
-    _run(_do_nothing, range(_EMPTY_TASKS), workers, lambda *_: arrived.append(time.perf_counter()))
+    _run_all(_do_nothing, range(_EMPTY_TASKS), workers, lambda *_: arrived.append(time.perf_counter()))
     seconds = arrived[-1] - arrived[0]
     each_ms = 1e3 * seconds / (_EMPTY_TASKS - 1)
     extra = {"per_task_ms": each_ms}
@@ -95,12 +95,13 @@ def _time_empty(workers: Workers, name: str, against: Timing | None) -> Timing:
     return Timing(title, [seconds], None, against, "times as long", extra, f"{each_ms:.2f} ms per task")
 
 
-def _run(
+def _run_all(
     function: Callable[[Any], Any],
     items: Sequence[Any],
     workers: Workers,
     on_done: Callable[[int, Any], None] | None = None,
 ) -> list[Any]:
+    """Return what the function gives for each item; raises :class:`StillpointError` for the first error."""
     outcomes = run_jobs(function, items, workers, "scale", on_done=on_done)
     for outcome in outcomes:
         if outcome.error is not None:
@@ -108,7 +109,7 @@ def _run(
     return [outcome.value for outcome in outcomes]
 
 
-def _process(file: Path) -> _Used:
+def _process_recording(file: Path) -> _Used:
     """Make reference and estimate of a recording, write both, and score the estimate."""
     import resource
 

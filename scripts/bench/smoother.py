@@ -57,7 +57,7 @@ def bench_smoother(runs: int) -> list[Timing]:
     rows = [offline, Timing(graph, ours, n, against=offline, ratio_is="times as long")]
     hour: Timing | None = None
     for hours, wandering in track(_LONG, "long recordings", console=Console(stderr=True), transient=True):
-        measured = _measure(hours, wandering)
+        measured = _measure_long(hours, wandering)
         peak = measured["bytes"]
         field = f", field wandering by {_WANDERING_UT:.0f} uT" if wandering else ""
         row = Timing(
@@ -95,7 +95,8 @@ def _time_side_by_side(recording: Recording, runs: int) -> tuple[list[float], li
     return seconds
 
 
-def _measure(hours: float, wandering: bool) -> dict[str, float]:
+def _measure_long(hours: float, wandering: bool) -> dict[str, float]:
+    """Return time and memory of the reference of a long recording, made in a process of its own."""
     field = "wandering" if wandering else "clean"
     command = [sys.executable, "-c", _MEASURE, str(hours), str(_LONG_HZ), field]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -74,6 +74,7 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
     rows = list(zip(spin.t_ns[:_STREAMED].tolist(), spin.accel_mps2[:_STREAMED].tolist(), strict=True))
 
     def time_calls() -> float:
+        """Return the seconds of all calls of a new stream."""
         update = SpinStream(name, spin.geometry).update
 
         def run_calls() -> None:

@@ -32,7 +32,7 @@ class Timing:
         faster = self.against.median_s / self.median_s
         return faster if self.ratio_is == "times as fast" else 1 / faster
 
-    def row(self) -> dict[str, Any]:
+    def make_row(self) -> dict[str, Any]:
         """Return the row as ``--json`` writes it."""
         return {
             "name": self.name,

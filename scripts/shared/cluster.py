@@ -121,6 +121,7 @@ def _run_in_child(item: object, name: str) -> Outcome[Any]:
 
 
 def _connect(address: str) -> Client:
+    """Return a client of the scheduler; raises :class:`StillpointError` where it cannot be reached."""
     try:
         return Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:  # TimeoutError is an OSError
@@ -136,6 +137,7 @@ def _gather(client: Client, items: Sequence[Item], name: str, address: str) -> I
     places: dict[object, int] = {}
 
     def submit(ahead: int) -> list[Future]:
+        """Submit the next items to the scheduler, and remember their places."""
         futures = []
         for _, (place, item) in zip(range(ahead), waiting, strict=False):
             future = client.submit(_run_in_child, item, name, key=f"{name}-{place}", pure=False)

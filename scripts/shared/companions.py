@@ -12,7 +12,7 @@ from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, kind_of
 
 
 def recording_name(path: Path) -> str:
-    """NAME of an estimate's or a recording's file; of a reference's file NAME or NAME.METHOD."""
+    """Return NAME of the file of an estimate or a recording, and NAME or NAME.METHOD of a reference."""
     name = path.name.removesuffix(KINDS.get(kind_of(path), SUFFIX))
     return name.rpartition(".")[0] if kind_of(path) == "estimate" else name
 
@@ -36,7 +36,7 @@ def neighbours(path: Path) -> list[Path]:
     return sorted(file for file in path.absolute().parent.glob(f"*{SUFFIX}") if not file.name.startswith("."))
 
 
-def _made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
+def _is_of_same_recording(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
     """Return whether two files were made from one recording, by its SHA-256; True also where one of them does not
     say.
     """
@@ -45,7 +45,7 @@ def _made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
 
 def require_same(path: Path, ours: Mapping[str, str], other: Path, theirs: Mapping[str, str]) -> None:
     """Raise :class:`BadParameter` when the two files were made from different recordings."""
-    if not _made_of_same(ours, theirs):
+    if not _is_of_same_recording(ours, theirs):
         raise BadParameter(
             f"{path}: was made from another recording than {other} ({', '.join(ours)} of another SHA-256); "
             "make it again from this one"

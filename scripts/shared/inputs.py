@@ -64,7 +64,7 @@ def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
     A folder stands for all MCAP files in it and below. Raises :class:`BadParameter` for a path that is not there,
     names another format, or holds no MCAP file.
     """
-    return list(dict.fromkeys(file for path in paths for file in _expand(Path(path))))
+    return list(dict.fromkeys(file for path in paths for file in _expand_path(Path(path))))
 
 
 def output_dir(path: str | Path) -> Path:
@@ -85,6 +85,7 @@ def folder_for(source: Path, out: Path | None) -> Path:
 
 
 def _select_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
+    """Return the files of this kind among the paths; raises :class:`BadParameter` when there is none."""
     named = [Path(path) for path in paths]
     if not named:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
@@ -107,7 +108,8 @@ def file_exists(path: Path) -> bool:
     return is_url(path) or path.is_file()
 
 
-def _expand(path: Path) -> list[Path]:
+def _expand_path(path: Path) -> list[Path]:
+    """Return the MCAP files that a file, folder, glob or URL stands for; raises :class:`BadParameter` for none."""
     if is_url(path):
         return list_files(path, SUFFIX)
     if path.is_dir():
@@ -125,7 +127,7 @@ def _expand(path: Path) -> list[Path]:
     kept = [match for match in matches if match.is_dir() or match.name.endswith(SUFFIX)]
     if not kept:
         raise BadParameter(f"{path}: matches {len(matches)} files, but no MCAP file among them")
-    return [file for match in kept for file in _expand(match)]
+    return [file for match in kept for file in _expand_path(match)]
 
 
 def _is_hidden(file: Path, below: Path) -> bool:

@@ -129,14 +129,14 @@ def _run_in_processes(
     waiting = iter(range(len(items)))
     places: dict[Child, int] = {}
 
-    def start(place: int) -> None:
+    def start_job(place: int) -> None:
         child = start_child(pickled, surroundings)
         places[child] = place
         child.send(items[place])
 
     try:
         for _ in range(count):
-            start(next(waiting))
+            start_job(next(waiting))
         while places:
             ready = wait([child.pipe for child in places])
             for child in [child for child in places if child.pipe in ready]:
@@ -149,6 +149,6 @@ def _run_in_processes(
                     places[child] = following
                     child.send(items[following])
                 else:
-                    start(following)
+                    start_job(following)
     finally:
         end_children(places)

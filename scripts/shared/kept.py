@@ -150,6 +150,7 @@ class _Store:
     """Results of one type as plain JSON in a folder."""
 
     def __init__(self, folder: Path | None, result: Any) -> None:
+        """Open the store, or none; ``result`` is the type that its facts are read back as."""
         self._store = None if folder is None else ResultStore(folder)
         self._type = result
         self._converter = cattrs.Converter()
@@ -268,6 +269,7 @@ def _hash_files(paths: Sequence[Path], workers: Workers, what: str) -> list[_Has
 
 
 def _hash_file(path: Path) -> _Hashed:
+    """Return SHA-256 and stamp of a file; no stamp for one just written, which may change again under it."""
     stamp = _read_stamp(path)
     if stamp is not None and time.time_ns() - stamp.changed_ns < _SETTLED_NS:
         stamp = None

@@ -92,6 +92,7 @@ def _escape_in_json(letter: str) -> str:
 
 
 def _to_plain(value: Any) -> Any:
+    """Return a value as plain JSON, with None for every number that is not finite."""
     if isinstance(value, Mapping):
         return {str(key): _to_plain(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):

@@ -35,6 +35,7 @@ def track(items: Sequence[Item], what: str) -> Iterable[Item]:
 
 @contextmanager
 def _show_bar(what: str, total: int, console: Console) -> Iterator[Callable[[], None]]:
+    """Yield a function to call after each item; it moves a bar, or without a count only a spinner and the time."""
     alone = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     columns = alone if total == 1 else Progress.get_default_columns()
     with Progress(*columns, console=console, transient=True) as progress:

@@ -52,7 +52,7 @@ def open_scene(save: Path | None, things: Sequence[Kept]) -> rr.RecordingStream:
     except (OSError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0].rstrip(".")
         raise BadParameter(f"view: {reason}; without a screen, write a file: --save NAME.rrd") from None
-    rr.send_blueprint(_layout(_quantities(things)), recording=scene)
+    rr.send_blueprint(_make_layout(_list_quantities(things)), recording=scene)
     rr.log("body", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=scene)
     return scene
 
@@ -86,6 +86,7 @@ def show_thing(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
 
 
 def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) -> None:
+    """Log the measurements, truth and shafts of a recording."""
     if recording.imu is not None:
         _show_lines(scene, _RATE, name, recording.imu.t_ns, np.rad2deg(recording.imu.gyro_b_radps))
         _show_lines(scene, _FORCE, name, recording.imu.t_ns, recording.imu.accel_b_mps2)
@@ -127,7 +128,7 @@ def _show_attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floa
 
 def _show_body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
     """Show the body as three axes that turn."""
-    entity = _entity("body", name)
+    entity = _name_entity("body", name)
     rr.log(entity, rr.TransformAxes3D(_AXIS_LENGTH), static=True, recording=scene)
     columns = rr.Transform3D.columns(quaternion=to_xyzw(q_nb))
     rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
@@ -142,8 +143,8 @@ def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov
 
 
 def _show_lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:
-    """One line per column of (N, k)."""
-    entity = _entity(quantity, name)
+    """Log one line per column of values (N, k)."""
+    entity = _name_entity(quantity, name)
     numbers = tuple(str(k + 1) for k in range(values.shape[1])) if quantity in (_SPIN_FORCE, _SPIN_GYRO) else _AXES
     labels = [f"{name} {axis}".strip() for axis in _LABELS.get(quantity, numbers)]
     rr.log(entity, rr.SeriesLines(names=labels), static=True, recording=scene)
@@ -152,25 +153,26 @@ def _show_lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times
 
 
 def _log_returns(scene: rr.RecordingStream, name: str, reference: Reference) -> None:
+    """Log the returns to the base pose as text, each at its beginning."""
     if not reference.returns:
         return
     t_ns = np.array([back.start_ns for back in reference.returns], dtype=np.int64)
     texts = [f"return {'used' if back.accepted else 'rejected'}: {back.reason}" for back in reference.returns]
     levels = ["INFO" if back.accepted else "WARN" for back in reference.returns]
     columns = rr.TextLog.columns(text=texts, level=levels)
-    rr.send_columns(_entity("returns", name), indexes=[_time(t_ns)], columns=columns, recording=scene)
+    rr.send_columns(_name_entity("returns", name), indexes=[_time(t_ns)], columns=columns, recording=scene)
 
 
 def _time(t_ns: Times) -> rr.TimeColumn:
-    """Stamps are ns since 1970, or since the source's own start, which rerun then shows as 1970."""
+    """Return the time axis. Stamps count from 1970, or from the source's own start, which rerun shows as 1970."""
     return rr.TimeColumn(_TIMELINE, timestamp=t_ns.astype("datetime64[ns]"))
 
 
-def _entity(quantity: str, name: str) -> str:
+def _name_entity(quantity: str, name: str) -> str:
     return rr.new_entity_path([quantity, name])
 
 
-def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
+def _list_quantities(things: Sequence[Kept]) -> tuple[str, ...]:
     """Return what there may be a plot of: attitudes, spins, or both."""
     spins = [
         isinstance(thing, SpinReference)
@@ -181,7 +183,7 @@ def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
     return (() if all(spins) else _QUANTITIES) + (_SPIN_QUANTITIES if any(spins) else ())
 
 
-def _layout(quantities: Sequence[str]) -> rrb.Blueprint:
+def _make_layout(quantities: Sequence[str]) -> rrb.Blueprint:
     """Return bodies and returns on the left, then one plot per quantity over the same time."""
     plots = [rrb.TimeSeriesView(name=one, origin=rr.new_entity_path([one])) for one in quantities]
     left = rrb.Vertical(

@@ -86,10 +86,10 @@ def print_spin_scores(scores: Sequence[SpinScore]) -> None:
     ordered.sort(key=lambda s: (s.against, s.zero))
     for (against, taken_off), same in groupby(ordered, key=lambda s: (s.against, s.zero)):
         judged = list(same)
-        sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=lambda s: s.recording)]
+        sections = [[_format_cells(s) for s in rows] for _, rows in groupby(judged, key=lambda s: s.recording)]
         print_table(f"roll against the {against}, {ZERO_WORDS[taken_off]}; deg and deg/s", _COLUMNS, sections)
         for s in judged:
-            for note in _notes(s):
+            for note in _list_notes(s):
                 print_line(note)
 
 
@@ -114,14 +114,16 @@ def _find_judge(file: Path, thing: Estimate | SpinReference) -> Path:
     )
 
 
-def _cells(s: SpinScore) -> list[str]:
+def _format_cells(s: SpinScore) -> list[str]:
+    """Return the row of a score as text: angles in deg, rates in deg/s."""
     figures = (s.angle_max_deg, s.angle_rmse_deg, s.rate_max_degps, s.rate_rmse_degps)
     fits = (s.angle_nees, s.rate_nees, s.angle_coverage95, s.rate_coverage95)
     shown = ["-" if value is None else f"{value:.2f}" for value in fits]
     return [s.recording, s.estimated, *(f"{value:.2f}" for value in figures), *shown]
 
 
-def _notes(s: SpinScore) -> list[str]:
+def _list_notes(s: SpinScore) -> list[str]:
+    """Return what a reader has to know besides the figures: samples left out, and the judge's own accuracy."""
     notes = []
     left_out = {"outside": s.samples_outside, "in gaps": s.samples_in_gap, "not ready": s.samples_unready}
     counts = ", ".join(f"{count} {why}" for why, count in left_out.items() if count)

@@ -23,6 +23,7 @@ class WindowFolder(MutableMapping[str, "PackedWindow"]):
     """
 
     def __init__(self, target: Path, key: str) -> None:
+        """Open the folder of windows of this key, and delete those of other keys of the target."""
         whole = _name_folder(target)
         self._folder = whole / key[:16]
         self._store = ResultStore(self._folder)
@@ -31,6 +32,7 @@ class WindowFolder(MutableMapping[str, "PackedWindow"]):
                 shutil.rmtree(other, ignore_errors=True)
 
     def __getitem__(self, name: str) -> "PackedWindow":
+        """Return a kept window; raises ``KeyError`` where it is missing."""
         from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
 
         found = self._store.get(name)

@@ -103,6 +103,7 @@ class _RawMessages:
     """The messages of a file with their log times, and a channel for each topic."""
 
     def __init__(self, file: Path, context: Context) -> None:
+        """Declare the channels of a file in the context of a server."""
         self._file = file
         self._channels: dict[int, Channel] = {}
         with file.open("rb") as stream:
@@ -131,6 +132,7 @@ class _Estimates:
     """The streams of estimators, and a channel for each."""
 
     def __init__(self, streams: Mapping[str, Stream], context: Context) -> None:
+        """Open channels for the transforms and for the pose of each stream."""
         self._streams = streams
         self._transforms = FrameTransformsChannel("/tf", context=context)
         self._poses = {name: PoseInFrameChannel(f"/estimate/{name}/pose", context=context) for name in streams}

@@ -28,14 +28,15 @@ class HeadingWatch:
         elif self._begun_ns is None:
             self._begun_ns = sample.t_ns
         elif sample.t_ns - self._begun_ns >= _PATIENCE_NS:
-            self._say(f" in the first {_PATIENCE_NS // 10**9} s; until one comes")
+            self._warn(f" in the first {_PATIENCE_NS // 10**9} s; until one comes")
 
     def end(self) -> None:
         """Warn at the end of the samples, where it is still due."""
         if not self._is_done and self._begun_ns is not None:
-            self._say(", so")
+            self._warn(", so")
 
-    def _say(self, since: str) -> None:
+    def _warn(self, since: str) -> None:
+        """Warn once that the heading is arbitrary."""
         self._is_done = True
         missing = "magnetometer (mx, my, mz)" + " or course (course_rad, speed_mps)" * self._by_course
         print_line(

@@ -69,19 +69,21 @@ class Lines:
         if not text:
             return None
         if self._values is None:
-            return self._begin(text)
+            return self._read_first(text)
         return self._layout.arrival(self._values(text))
 
-    def _begin(self, text: str) -> Arrival | SpinArrival | None:
+    def _read_first(self, text: str) -> Arrival | SpinArrival | None:
+        """Take the first line: a JSON object is a sample already, a CSV header names the columns."""
         if text.startswith("{"):
             values = _parse_object(text)
-            self._require(list(values))
+            self._require_names(list(values))
             self._values = _parse_object
             return self._layout.arrival(values)
         names = [name.strip() for name in text.split(",")]
-        self._require(names)
+        self._require_names(names)
 
         def row(line: str) -> Mapping[str, Any]:
+            """Return the cells of a line by their names; raises :class:`Malformed` for another number of cells."""
             cells = line.split(",")
             if len(cells) != len(names):
                 raise Malformed(f"it has {len(cells)} values, the header {len(names)} names")
@@ -90,7 +92,8 @@ class Lines:
         self._values = row
         return None
 
-    def _require(self, names: list[str]) -> None:
+    def _require_names(self, names: list[str]) -> None:
+        """Raise :class:`BadParameter` where a required name is missing, and note the names that are ignored."""
         missing = [name for name in self._layout.required if name not in names]
         if not set(_TIME) & set(names):
             missing.insert(0, "t_ns")
@@ -112,8 +115,8 @@ def _make_arrival(values: Mapping[str, Any]) -> Arrival:
         _parse_stamp(values),
         gyro,
         accel,
-        mag if _parse_any(values, _MAG) else None,
-        (fix[0], fix[1]) if _parse_any(values, _FIX) else None,
+        mag if _has_any(values, _MAG) else None,
+        (fix[0], fix[1]) if _has_any(values, _FIX) else None,
     )
 
 
@@ -157,6 +160,7 @@ def make_spin_layout(n_accels: int, n_gyros: int) -> Layout:
 
 
 def _parse_object(text: str) -> Mapping[str, Any]:
+    """Return a line as a mapping; raises :class:`Malformed` for one that is no JSON object."""
     try:
         values = json.loads(text)
     except ValueError as error:
@@ -168,11 +172,12 @@ def _parse_object(text: str) -> Mapping[str, Any]:
     return values
 
 
-def _parse_any(values: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+def _has_any(values: Mapping[str, Any], names: tuple[str, ...]) -> bool:
     return any(values.get(name) not in (None, "") for name in names)
 
 
 def _parse_number(values: Mapping[str, Any], name: str) -> float:
+    """Return a value as a number, NaN for a missing one; raises :class:`Malformed`."""
     value = values.get(name)
     if value is None or value == "":
         return _NAN
@@ -185,6 +190,7 @@ def _parse_number(values: Mapping[str, Any], name: str) -> float:
 
 
 def _parse_stamp(values: Mapping[str, Any]) -> int:
+    """Return the time of a sample in ns, from ``t_ns`` or from ``t_s``; raises :class:`Malformed`."""
     given = [name for name in _TIME if values.get(name) not in (None, "")]
     if not given:
         raise Malformed(f"{' and '.join(name for name in _TIME if name in values) or 't_ns'} has no value")

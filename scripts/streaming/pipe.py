@@ -70,13 +70,14 @@ def run_pipe(
                 continue
             if see is not None:
                 see(sample)
-            if not write(_update(streams, sample, passed)):
+            if not write(_update_streams(streams, sample, passed)):
                 break
             passed.whole.add(perf_counter_ns() - begun_ns)
     return passed
 
 
-def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: Counts) -> str:
+def _update_streams(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: Counts) -> str:
+    """Give a sample to all streams, and return their estimates as lines."""
     begun_ns = perf_counter_ns()
     parts: tuple[Any, ...] = sample
     outputs = [stream.update(*parts) for stream in streams.values()]
@@ -109,7 +110,8 @@ def _end_at_signals(
     """Yield two functions: one reads a line, or ``b""`` after a signal, and one writes a line if it can."""
     waits_for = ""
 
-    def on_signal(number: int, _: FrameType | None) -> None:
+    def end_at_signal(number: int, _: FrameType | None) -> None:
+        """End the stream at the first signal; a later one also interrupts output that is not read."""
         is_over = passed.ended_by != _END
         if not is_over:
             passed.ended_by = signal.Signals(number).name
@@ -118,6 +120,7 @@ def _end_at_signals(
             raise _Ended
 
     def read(source: BinaryIO) -> bytes:
+        """Return the next line, empty at the end of the input, and note why it ended."""
         nonlocal waits_for
         if passed.ended_by != _END:
             return b""
@@ -139,6 +142,7 @@ def _end_at_signals(
             waits_for = ""
 
     def write(text: str) -> bool:
+        """Write text at once; return False, and note why, where the output is closed or cannot be written."""
         nonlocal waits_for
         try:
             waits_for = "output"
@@ -157,7 +161,7 @@ def _end_at_signals(
         return False
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
-    before = {number: signal.signal(number, on_signal) for number in numbers}
+    before = {number: signal.signal(number, end_at_signal) for number in numbers}
     try:
         with suppress(_Ended):
             yield read, write

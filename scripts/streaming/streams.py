@@ -71,6 +71,7 @@ def save_streams(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any
 
 
 def _read_saved(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the states that an earlier run saved; raises :class:`BadParameter` where the options differ."""
     try:
         kept = json.loads(resume.read_text(encoding="utf-8"))
         states, kept_kind = dict(kept["states"]), kept["kind"]

@@ -42,6 +42,7 @@ class UnitWatch:
             self._window = []
 
     def _check_rate(self) -> None:
+        """Warn where the rate of the samples shows that ``t_s`` is in another unit."""
         step_s = float(np.median(np.diff([each.t_ns for each in self._window]))) / 1e9
         if step_s <= 0 or _SLOWEST_HZ <= 1 / step_s <= _FASTEST_HZ:
             return
@@ -50,6 +51,7 @@ class UnitWatch:
         _warn(f"the samples come at {1 / step_s:.3g} Hz by their time; it looks as if t_s were in {likely}")
 
     def _check_sizes(self) -> None:
+        """Warn once, at the first rest, where gyro, accelerometer or magnetometer look like another unit."""
         force = np.array([each.accel_b_mps2 for each in self._window])
         rate = np.array([each.gyro_b_radps for each in self._window])
         size = float(np.linalg.norm(force.mean(axis=0)))

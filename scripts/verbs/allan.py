@@ -53,14 +53,14 @@ def allan(
     recording = read_recording(path)
     figures = _measure(recording)
     if json != STDOUT:
-        print_table(f"Allan deviation, {figures[0].found.length_s:.0f} s of rest", _COLUMNS, [_rows(figures)])
-        for name, value in _settings(figures)["reference"].items():
+        print_table(f"Allan deviation, {figures[0].found.length_s:.0f} s of rest", _COLUMNS, [_make_rows(figures)])
+        for name, value in _make_settings(figures)["reference"].items():
             print_line(f"reference --set {name}={value:.3g}")
     if out is not None:
-        write_text(out, _toml(recording, figures))
+        write_text(out, _format_toml(recording, figures))
     if plot is not None:
         _draw(plot, recording.name, figures)
-    write_document(json, {"recording": recording.name, "sensors": [_facts(one) for one in figures]})
+    write_document(json, {"recording": recording.name, "sensors": [_list_facts(one) for one in figures]})
 
 
 def _measure(recording: Recording) -> list[_Figures]:
@@ -80,7 +80,8 @@ def _measure(recording: Recording) -> list[_Figures]:
         raise Unobservable(f"{recording.name}: {error}") from None
 
 
-def _rows(figures: list[_Figures]) -> list[list[str]]:
+def _make_rows(figures: list[_Figures]) -> list[list[str]]:
+    """Return the rows of the table, one per sensor and axis."""
     rows = []
     for one in figures:
         unit, factor = _UNITS[one.name]
@@ -94,8 +95,8 @@ def _rows(figures: list[_Figures]) -> list[list[str]]:
     return rows
 
 
-def _settings(figures: list[_Figures]) -> dict[str, dict[str, float]]:
-    """Return the settings that follow, of the worst axis: of the smoother at rest, and of the ekf."""
+def _make_settings(figures: list[_Figures]) -> dict[str, dict[str, float]]:
+    """Return the settings of the smoother at rest and of the ekf that follow from the axis with the most noise."""
     gyro, accel = (one.found for one in figures)
 
     def find_largest(values: Floats) -> float:
@@ -116,8 +117,9 @@ def _settings(figures: list[_Figures]) -> dict[str, dict[str, float]]:
     }
 
 
-def _toml(recording: Recording, figures: list[_Figures]) -> str:
-    settings = _settings(figures)
+def _format_toml(recording: Recording, figures: list[_Figures]) -> str:
+    """Return the settings as TOML that ``estimate`` and ``reference`` read, with where they come from."""
+    settings = _make_settings(figures)
     return "\n".join(
         [
             "# -e ekf@THIS.toml uses [params]; reference takes [reference] by --set NAME=VALUE.",
@@ -136,7 +138,8 @@ def _toml(recording: Recording, figures: list[_Figures]) -> str:
     )
 
 
-def _facts(one: _Figures) -> dict[str, Any]:
+def _list_facts(one: _Figures) -> dict[str, Any]:
+    """Return the figures of a sensor for ``--json``, in SI units."""
     found = one.found
     return {
         "sensor": one.name,

@@ -56,22 +56,22 @@ def bench(
     require_known(name, BENCHES, "bench")
     module, function = BENCHES[name].split(":")
     timings = getattr(import_module(module), function)(runs)
-    rows = [timing.row() for timing in timings]
+    rows = [timing.make_row() for timing in timings]
     if json != STDOUT:
-        print_table(f"bench {name}", _COLUMNS, [[_cells(row) for row in rows]], wanted=columns)
+        print_table(f"bench {name}", _COLUMNS, [[_format_cells(row) for row in rows]], wanted=columns)
         for row in rows:
             if row["note"]:
                 print_line(f"{row['name']}: {row['note']}")
     write_json(json, rows)
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _format_cells(row: dict[str, Any]) -> list[str]:
     median, least, most = (f"{row[key]:.3f}" for key in ("median_s", "min_s", "max_s"))
     per_sample = "" if row["per_sample_ns"] is None else f"{row['per_sample_ns']:.0f}"
-    return [row["name"], row["against"] or "", median, _ratio(row), per_sample, least, most, str(row["runs"])]
+    return [row["name"], row["against"] or "", median, _format_ratio(row), per_sample, least, most, str(row["runs"])]
 
 
-def _ratio(row: dict[str, Any]) -> str:
+def _format_ratio(row: dict[str, Any]) -> str:
     """Return the ratio in words, for example ``14.8 times as long``, with three digits."""
     ratio = row["ratio"]
     if ratio is None:

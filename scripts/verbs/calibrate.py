@@ -57,25 +57,27 @@ def calibrate(
         raise BadParameter(f"--out {out}: give a name that ends in {SUFFIX}")
     files = [file for file in inputs.mcap_files(paths) if inputs.kind_of(file) != "calibration"]
     require_several(len(files))  # before references take minutes
-    outcomes = run_jobs(_reference_of, files, Workers(jobs), "calibrate")
+    outcomes = run_jobs(_make_reference, files, Workers(jobs), "calibrate")
     refused = [(outcome.error, file.name) for file, outcome in zip(files, outcomes, strict=True) if outcome.error]
     made = [outcome.value for outcome in outcomes if outcome.value is not None]
     print_refusals("not used", refused)
     device = calibrate_device([reference for reference, _ in made])
-    rows = _drift(device)
-    write_device(out, _file_of(device, [info for _, info in made], files, rows))
+    rows = _list_drift(device)
+    write_device(out, _make_file(device, [info for _, info in made], files, rows))
     if plot is not None:
         _draw(plot, device)
     if json != STDOUT:
-        print_table(f"{out}: the device by {len(made)} recordings, deviation ± sd", _COLUMNS, [_table(device)], texts=1)
+        print_table(
+            f"{out}: the device by {len(made)} recordings, deviation ± sd", _COLUMNS, [_make_rows(device)], texts=1
+        )
         print_line(
             f"two devices would explain them better by {device.split:.0f}; {device.split_of_one:.0f} may be chance"
         )
-    write_document(json, {"file": str(out), "parts": PARTS, "recordings": rows, **_facts(device)})
+    write_document(json, {"file": str(out), "parts": PARTS, "recordings": rows, **_list_facts(device)})
     return 2 if refused else 0
 
 
-def _reference_of(file: Path) -> tuple[Reference, dict[str, Any]]:
+def _make_reference(file: Path) -> tuple[Reference, dict[str, Any]]:
     """Return the reference in a file, or of the recording in it, and what the file says of date and sensor."""
     thing = read(file)
     if isinstance(thing, Reference):
@@ -87,9 +89,10 @@ def _reference_of(file: Path) -> tuple[Reference, dict[str, Any]]:
     return replace(attitude_reference(thing), made_from={file.name: sha256(file)}), info
 
 
-def _file_of(
+def _make_file(
     device: DeviceCalibration, infos: Sequence[dict[str, Any]], files: Sequence[Path], rows: list[dict[str, Any]]
 ) -> DeviceFile:
+    """Return the calibration of a device with its sources; raises :class:`BadParameter` for different sensors."""
     sensors = sorted({info["sensor"] for info in infos if info["sensor"]})
     if len(sensors) > 1:
         raise BadParameter(
@@ -110,7 +113,7 @@ def _file_of(
     )
 
 
-def _drift(device: DeviceCalibration) -> list[dict[str, Any]]:
+def _list_drift(device: DeviceCalibration) -> list[dict[str, Any]]:
     """Return what each recording says by itself."""
     rows = zip(device.names, device.parts, device.parts_sd, device.biases_b_mps2, strict=True)
     return [
@@ -119,13 +122,15 @@ def _drift(device: DeviceCalibration) -> list[dict[str, Any]]:
     ]
 
 
-def _facts(device: DeviceCalibration) -> dict[str, Any]:
+def _list_facts(device: DeviceCalibration) -> dict[str, Any]:
     names = ("gyro_matrix", "gyro_matrix_sd", "accel_matrix", "accel_matrix_sd", "accel_bias_b_mps2")
     columns = {name: getattr(device, name).tolist() for name in (*names, "accel_bias_sd_mps2")}
     return {**columns, "split": device.split, "split_of_one": device.split_of_one}
 
 
-def _table(device: DeviceCalibration) -> list[list[str]]:
+def _make_rows(device: DeviceCalibration) -> list[list[str]]:
+    """Return the rows of the table: each recording by itself, then the device; percent and m/s^2."""
+
     def cells(parts: Any, sd: Any, bias: Any) -> list[str]:
         pairs = [f"{100 * value:.2f} ± {100 * each:.2f}" for value, each in zip(parts, sd, strict=True)]
         return [*pairs, " ".join(f"{value:.3f}" for value in bias)]

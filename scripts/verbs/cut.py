@@ -98,6 +98,7 @@ def _cut_file(file: Path, asked: _Asked) -> list[str]:
 
 
 def _cut_span(recording: Recording, from_s: float | None, to_s: float | None) -> Recording:
+    """Return the recording between two times in s from its start."""
     start_ns = find_start_ns(recording)
     seconds = (0.0 if from_s is None else from_s, recording.duration_s if to_s is None else to_s)
     first_ns, last_ns = (start_ns + round(each * 1e9) for each in seconds)

@@ -103,7 +103,7 @@ def doctor(
     where = None if place is None else parse_place(place)
     when = "" if date is None else parse_date(date)
     sources = recordings(paths)
-    targets = {} if out is None else _targets(sources, output_dir(out))
+    targets = {} if out is None else _choose_targets(sources, output_dir(out))
     work = [_Job(source, where, when, targets.get(source), skip) for source in sources]
     console = Console(highlight=False, markup=False, soft_wrap=True, stderr=json == STDOUT)
     shown = _choose_severities(errors, single=len(sources) == 1)
@@ -220,7 +220,7 @@ def select_remedies(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]
     return [one.remedy for one in diagnosis.findings if one.remedy is not None and one.code not in skip]
 
 
-def _targets(sources: Sequence[Path], folder: Path) -> dict[Path, Path]:
+def _choose_targets(sources: Sequence[Path], folder: Path) -> dict[Path, Path]:
     """Return where the repaired recordings go: never over those that were read, nor over each other."""
     targets = {source: folder / source.name for source in sources}
     for source, target in targets.items():

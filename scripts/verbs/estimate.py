@@ -85,17 +85,17 @@ def estimate(
         Also write the table's facts as JSON to this file; - is the standard output.
     """
     sources = inputs.recordings(paths)
-    runs = _runs_by_source(sources, estimators, partial(choose_runs, set_=set_, precision=precision, heading=heading))
-    work = _jobs(runs, None if out is None else inputs.output_dir(out), calibration)
+    runs = _plan_runs(sources, estimators, partial(choose_runs, set_=set_, precision=precision, heading=heading))
+    work = _plan_jobs(runs, None if out is None else inputs.output_dir(out), calibration)
     outcomes = run_kept(_make, work, _decide, workers, keeping, "estimate", dict)
     rows = [
         make_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
-    return report_made("estimates", _COLUMNS, rows, _cells, json, columns)
+    return report_made("estimates", _COLUMNS, rows, _format_cells, json, columns)
 
 
-def _runs_by_source(
+def _plan_runs(
     sources: Sequence[Path], estimators: str | None, runs_of_names: Callable[[str], list[Run]]
 ) -> Mapping[Path, list[Run]]:
     """Return what to run over each recording: what was named, or by default what its streams are for."""
@@ -107,7 +107,8 @@ def _runs_by_source(
     return {source: [run for run in runs if (run.estimator in SPINS) == spins[source]] for source in sources}
 
 
-def _jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str) -> list[_Job]:
+def _plan_jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str) -> list[_Job]:
+    """Return one job per recording and estimator; raises :class:`BadParameter` where two would write one file."""
     work = [
         _Job(source, inputs.folder_for(source, out) / f"{source.stem}.{run.estimator}.estimate.mcap", run, calibration)
         for source, wanted in runs.items()
@@ -129,7 +130,7 @@ def _decide(job: _Job) -> Deciding:
 
 def _make(task: Task[_Job]) -> dict[str, Any]:
     """Read, run, write; the facts of the table."""
-    return _run_whole(task) if _takes_whole(task.item) else _run_in_pieces(task)
+    return _run_whole(task) if _needs_whole(task.item) else _run_in_pieces(task)
 
 
 def _make_row(samples: int, last: Estimate) -> dict[str, Any]:
@@ -142,7 +143,7 @@ def _make_row(samples: int, last: Estimate) -> dict[str, Any]:
     }
 
 
-def _takes_whole(job: _Job) -> bool:
+def _needs_whole(job: _Job) -> bool:
     """Return whether the recording has to be in memory whole: for a package of another project, and to calibrate."""
     return job.calibration != "none" or isinstance(find_estimator(job.run.estimator), Peer)
 
@@ -211,7 +212,8 @@ def _list_folders(job: _Job) -> tuple[Path, Path]:
     return job.source.parent, job.target.parent
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _format_cells(row: dict[str, Any]) -> list[str]:
+    """Return the row of an estimate as text, with the counts of what was unusual."""
     if row["error"] is not None:
         return [row["recording"], row["estimator"], "-", "-", "-"]
     diagnostics = row["diagnostics"]

@@ -56,7 +56,7 @@ def fetch(
     print_line(f"licence: {source.licence}")
     print_line(f"cite: {source.citation}")
     folder = output_dir((_HERE if out is None else out) / source.name)
-    all_fetched = fetch_trials(source, chosen, folder, mirror, _say)
+    all_fetched = fetch_trials(source, chosen, folder, mirror, _print_fetched)
     new, unpinned = (sum(getattr(one, name) for one in all_fetched) for name in ("downloaded", "first_seen"))
     print_line(f"{len(all_fetched)} files of {len(chosen)} trials in {folder}, {new} of them new")
     if unpinned:
@@ -68,7 +68,7 @@ def fetch(
     return _import_trials(source, items, to, jobs)
 
 
-def _say(one: Fetched) -> None:
+def _print_fetched(one: Fetched) -> None:
     if one.downloaded:
         print_line(f"  {one.path.name}", flush=True)
 

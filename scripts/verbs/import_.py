@@ -285,7 +285,7 @@ def import_(
         What may be set about the import.
     """
     given = {name: value for name, value in vars(flags).items() if value is not None and value is not False}
-    importer, options = _importer(kind, given)
+    importer, options = _choose_importer(kind, given)
     if skip and not repair:
         raise BadParameter("--skip: leaves remedies out of --repair; give that too")
     if not sources:
@@ -306,7 +306,7 @@ def import_(
         _show(kept)
     if failed and json != STDOUT:
         print_line(f"{len(failed)} not imported")
-    write_json(json, [_facts(one) for one in kept])
+    write_json(json, [_list_facts(one) for one in kept])
     return exit_code(outcomes) or (2 if failed else 0)
 
 
@@ -326,14 +326,14 @@ def _import_item(item: _Item) -> list[_Kept]:
     long = _read_long(item)
     if long is not None:
         return [_write_long(item, long)]
-    imported = _read(item)
+    imported = _read_item(item)
     parts = [imported]
     if item.span_s is not None:
         if imported.estimates:
             print_line(f"stillpoint: {item}: --split leaves out the attitude of the device itself", file=sys.stderr)
         split = split_recording(imported.recording, item.span_s)
         parts = [replace(imported, recording=part, estimates=()) for part in split]
-    return [_write(item, part) for part in parts]
+    return [_write_imported(item, part) for part in parts]
 
 
 def _read_long(item: _Item) -> LongRecording | None:
@@ -351,6 +351,7 @@ def _measure_size(path: Path) -> int:
 
 
 def _write_long(item: _Item, long: LongRecording) -> _Kept:
+    """Write a long recording piece by piece, and the device's own attitude beside it."""
     name = long.head.name
     file = output_dir(item.out) / f"{name}.mcap"
     _claim(item, file)
@@ -370,17 +371,19 @@ def _write_long(item: _Item, long: LongRecording) -> _Kept:
     return _Kept(item.source, file, name, duration_s, streams, long.head.info, beside)
 
 
-def _read(item: _Item) -> Imported:
+def _read_item(item: _Item) -> Imported:
+    """Read one source; with ``--repair``, what the doctor finds is repaired."""
     importer = IMPORTERS[item.kind]
     if not item.repair:
         return importer.read_one(item.path, item.options)
     # Sizes are tested after the repair: what the doctor corrects need not be refused before.
     imported = importer.read_one(item.path, replace(item.options, units_unchecked=True))
-    mended = _repair(imported.recording, item.path, item.skip, item.options.units_unchecked)
+    mended = _repair_recording(imported.recording, item.path, item.skip, item.options.units_unchecked)
     return replace(imported, recording=mended)
 
 
-def _write(item: _Item, imported: Imported) -> _Kept:
+def _write_imported(item: _Item, imported: Imported) -> _Kept:
+    """Write a recording, and estimates of the device beside it."""
     recording = imported.recording
     file = output_dir(item.out) / f"{recording.name}.mcap"
     _claim(item, file)
@@ -406,7 +409,7 @@ def _claim(item: _Item, file: Path) -> None:
         ) from None
 
 
-def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
+def _choose_importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
     """Return the importer and its options; an option that the kind does not take is refused."""
     require_known(kind, IMPORTERS, "kind")
     importer = IMPORTERS[kind]
@@ -416,13 +419,13 @@ def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
         if name not in known:
             taken = ", ".join(f"--{one.replace('_', '-')}" for one in known)
             raise BadParameter(f"{flag}: {kind} takes no such option; it takes {taken}")
-        choices = _choices(known[name])
+        choices = _list_choices(known[name])
         if choices and value not in choices:
             raise BadParameter(f"{flag} {value}: {kind} takes {' or '.join(choices)}")
     return importer, importer.options(**given)
 
 
-def _choices(annotation: Any) -> tuple[str, ...]:
+def _list_choices(annotation: Any) -> tuple[str, ...]:
     """Return the words of a Literal, alone or in a union with None."""
     for part in (annotation, *get_args(annotation)):
         if get_origin(part) is Literal:
@@ -430,7 +433,8 @@ def _choices(annotation: Any) -> tuple[str, ...]:
     return ()
 
 
-def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
+def _repair_recording(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
+    """Return the recording with the doctor's remedies applied; raises :class:`BadSource` where the units stay wrong."""
     from stillpoint.datasets.doctor import apply
     from stillpoint.scripts.verbs.doctor import examine, select_remedies
 
@@ -472,7 +476,8 @@ def _list_lines(info: Info) -> list[str]:
     return list(dict.fromkeys((*info.conversions, *notes)))
 
 
-def _facts(one: _Kept) -> dict[str, Any]:
+def _list_facts(one: _Kept) -> dict[str, Any]:
+    """Return what was imported for ``--json``."""
     return {
         "recording": one.name,
         "file": str(one.file),

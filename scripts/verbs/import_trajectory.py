@@ -85,7 +85,7 @@ def import_trajectory(
     if share < _LEAST_OVERLAP:
         raise BadSource(
             f"{file}: {share:.0%} of its stamps lie within {recording.name} "
-            f"({_span_of(made.t_ns)} against {_span_of(of.require_imu().t_ns)}); bring both to one clock first"
+            f"({_format_span(made.t_ns)} against {_format_span(of.require_imu().t_ns)}); bring both to one clock first"
         )
     target = recording.with_name(f"{recording.name.removesuffix('.mcap')}.{name}.estimate.mcap")
     made_from = {recording.name: sha256(recording), file.name: sha256(file) if file.is_file() else ""}
@@ -97,6 +97,7 @@ def import_trajectory(
 
 
 def _check_name(name: str) -> None:
+    """Raise :class:`BadParameter` for a name that is unfit for a file, or that an estimator of ours has."""
     if not name or not all(letter.isalnum() or letter in "-_" for letter in name):
         raise BadParameter(f"--name {name}: give letters, digits, - and _ (it becomes part of a file's name)")
     if name in ESTIMATORS:
@@ -109,5 +110,5 @@ def _find_overlap(made: Estimate, of: Recording) -> float:
     return float(np.mean((made.t_ns >= t_ns[0]) & (made.t_ns <= t_ns[-1])))
 
 
-def _span_of(t_ns: Any) -> str:
+def _format_span(t_ns: Any) -> str:
     return f"{t_ns[0] / 1e9:.3f} to {t_ns[-1] / 1e9:.3f} s"

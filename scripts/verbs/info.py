@@ -288,6 +288,7 @@ def _format_vector(values: Floats) -> str:
 
 
 def _describe_clock(name: str, clock: ClockFacts) -> dict[str, Any]:
+    """Return rate, span and gaps of a stream for the table and for ``--json``."""
     return {
         "stream": name,
         "samples": clock.samples,
@@ -305,6 +306,7 @@ def _list_spans(rests_ns: Times, first_ns: int) -> list[dict[str, float]]:
 
 
 def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
+    """Print a file's facts: the table of its streams, then a line per fact."""
     rows = [
         [
             one["stream"],
@@ -330,6 +332,7 @@ def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
 
 
 def _describe_rests(rests: list[dict[str, float]] | None) -> str:
+    """Return number, total length and the first rests as text."""
     if rests is None:
         return "not looked for"
     if not rests:
@@ -340,6 +343,7 @@ def _describe_rests(rests: list[dict[str, float]] | None) -> str:
 
 
 def _format_lines(value: Any) -> list[str]:
+    """Return a fact as lines of text."""
     if isinstance(value, dict):
         return [f"{name}: {item}" for name, item in value.items()]
     if isinstance(value, list) and value and isinstance(value[0], str):

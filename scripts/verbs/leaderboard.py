@@ -115,7 +115,7 @@ def leaderboard(
     json
         Also write the leaderboard as JSON to this file; - is the standard output.
     """
-    asked = _study(paths, estimators, against, align, calibration, groups, set_, study, archive)
+    asked = _make_study(paths, estimators, against, align, calibration, groups, set_, study, archive)
     find_study_entrants(asked)  # a wrong name ends the command before anything is written
 
     computed: list[int] = []
@@ -157,7 +157,7 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
             f"typical RMSE of the {table.ranked_by} error"
         )
         names = _shorten_labels(table)
-        cells = [_cells(row, table, name) for row, name in zip(table.rows, names, strict=True)]
+        cells = [_format_cells(row, table, name) for row, name in zip(table.rows, names, strict=True)]
         print_table(title, _COLUMNS, [cells], wanted=columns)
         print_line(table.conclusion)
         print_line(table.origins)
@@ -192,26 +192,27 @@ def _shorten_labels(table: Table) -> list[str]:
     return names if alike else [row.label for row in table.rows]
 
 
-def _cells(row: Row, table: Table, name: str) -> list[str]:
+def _format_cells(row: Row, table: Table, name: str) -> list[str]:
+    """Return a row of the table as text; angles in deg."""
     ranked: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
     rank = "-" if row.rank is None else str(row.rank[0]) if row.rank[0] == row.rank[1] else "{}-{}".format(*row.rank)
     failed = f"{row.failed} of {row.recordings}" if row.failed else ""
     ns = "-" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}"
-    rest = [*(_format(value) for value in (row.nees_per_dof, row.coverage95)), row.parameters]
+    rest = [*(_format_figure(value) for value in (row.nees_per_dof, row.coverage95)), row.parameters]
     if ranked is None or row.heading_rmse_deg is None or row.inclination_rmse_deg is None:
         return [rank, name, "-", "-", "-", "-", "-", ns, failed, "-", "-", *rest]
     low, high = ranked.ci95
     interval = f"{low:.2f}-{high:.2f}" if table.general and low < high else "-"
     figures = (row.heading_rmse_deg.typical, row.inclination_rmse_deg.typical, ranked.worst)
-    shown = [f"{ranked.typical:.2f}", interval, *map(_format, figures), ns, failed]
-    return [rank, name, *shown, _format(ranked.mean), _format(ranked.median), *rest]
+    shown = [f"{ranked.typical:.2f}", interval, *map(_format_figure, figures), ns, failed]
+    return [rank, name, *shown, _format_figure(ranked.mean), _format_figure(ranked.median), *rest]
 
 
-def _format(value: float | None) -> str:
+def _format_figure(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def _study(
+def _make_study(
     paths: list[str] | None,
     estimators: str | None,
     against: Against | None,

@@ -82,6 +82,7 @@ def plot(
 
 
 def _plot_board(file: Path, kind: Kind, out: Path, width: float, wanted: str | None) -> None:
+    """Draw the ranking or the map of a leaderboard; raises :class:`BadParameter` for another file."""
     from stillpoint.studies.leaderboard import Leaderboard
     from stillpoint.studies.publish.figures import draw_map, draw_ranking, get_map_height_in, get_ranking_height_in
 
@@ -121,6 +122,7 @@ def _name_table(table: "Table") -> str:
 
 
 def _find_board_file(paths: Sequence[Path]) -> Path:
+    """Return the result of a leaderboard in a folder; raises :class:`BadParameter` for none or several paths."""
     if len(paths) != 1:
         raise BadParameter(f"plot: {len(paths)} files; --kind ranking and map take one {_BOARD_FILE}")
     file = paths[0] / _BOARD_FILE if paths[0].is_dir() else paths[0]
@@ -138,6 +140,7 @@ def _plot_run(
     frame: EulerFrame,
     span_s: tuple[float | None, float | None],
 ) -> None:
+    """Draw angles or errors of the estimates of one recording."""
     verdicts = judge(_gather_material(paths), align, frame)
     if not verdicts:
         raise BadParameter(f"{paths[0]}: nothing to draw; make estimates of it: stillpoint estimate")
@@ -170,7 +173,7 @@ def _gather_material(paths: Sequence[Path]) -> Material:
 
 
 def _cut_view(view: View, span_s: tuple[float | None, float | None]) -> View:
-    """The view between two times in seconds from its start. Raises :class:`BadParameter` when nothing is left."""
+    """Return the view between two times in s from its start. Raises :class:`BadParameter` when nothing is left."""
     ends = [
         end if asked is None else view.zero_ns + round(asked * 1e9)
         for end, asked in zip(view.span_ns, span_s, strict=True)

@@ -15,7 +15,7 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write
 
 
 def recover(paths: Inputs, /, *, out: OutDir, jobs: Jobs = None, json: JsonFile = None) -> int:
-    """Rescue what is readable of damaged MCAP files, chunk by chunk, and say what was lost.
+    """Save the readable part of damaged MCAP files, chunk by chunk, and print what was lost.
 
     Writes NAME.mcap for each file into another folder; the damaged file stays as it is. The exit code is 2 when there
     is nothing to rescue in one of them.
@@ -63,6 +63,7 @@ def _print_recovered(target: Path, found: Recovered) -> None:
 
 
 def _print_failures(rows: Sequence[dict[str, Any]], count: int) -> None:
+    """Print why files could not be recovered; raises :class:`StillpointError` for a single one."""
     errors = [row["error"] for row in rows if row["error"]]
     if errors and count == 1:
         raise StillpointError(errors[0])

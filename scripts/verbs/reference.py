@@ -191,6 +191,7 @@ def _choose_methods(sources: Sequence[Path], changed: bool) -> dict[Path, list[s
 
 
 def _plan_jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[_Job]:
+    """Return one job per recording and method; raises :class:`BadParameter` where two would write one file."""
     work = []
     for source, names in methods.items():
         for name in names:
@@ -289,6 +290,7 @@ def _describe_islands(diagnostics: Mapping[str, Any]) -> str:
 
 
 def _list_facts(made: LongReference) -> dict[str, Any]:
+    """Return the facts of a reference for ``--json``: rests, returns, stated accuracy and diagnostics."""
     first = next(made.pieces())
     sd_deg = np.rad2deg(np.concatenate([total_sd_rad(piece.cov_b_rad2) for piece in made.pieces()]))
     return {
@@ -307,6 +309,7 @@ def _list_facts(made: LongReference) -> dict[str, Any]:
 
 
 def _list_spin_facts(made: SpinReference) -> dict[str, Any]:
+    """Return the facts of a spin reference for ``--json``: stated accuracy and diagnostics."""
     angle_sd_deg, rate_sd_degps = np.rad2deg(made.angle_sd_rad), np.rad2deg(made.rate_sd_radps)
     return {
         "method": made.method,
@@ -319,6 +322,7 @@ def _list_spin_facts(made: SpinReference) -> dict[str, Any]:
 
 
 def _format_cells(row: dict[str, Any]) -> list[str]:
+    """Return the row of a reference of the attitude as text."""
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(_COLUMNS) - 2)]
     if row["method"] == DEFAULT_SPIN_METHOD:
@@ -348,6 +352,7 @@ def _format_spin_among_attitudes(row: dict[str, Any]) -> list[str]:
 
 
 def _format_spin_cells(row: dict[str, Any]) -> list[str]:
+    """Return the row of a spin reference as text."""
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(_SPIN_COLUMNS) - 2)]
     found = row["diagnostics"]

@@ -137,6 +137,7 @@ def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | 
 
 
 def _choose_targets(recordings: Sequence[Path], out: Path | None) -> list[Path]:
+    """Return the page of each recording; raises :class:`BadParameter` where several would share a file."""
     if out is not None and out.suffix == ".html":
         if len(recordings) > 1:
             raise BadParameter(f"-o {out}: {len(recordings)} recordings give as many pages; name a folder")

@@ -110,8 +110,8 @@ def score(
     json
         Also write all figures as JSON to this file; - is the standard output.
     """
-    files, asked = _files(paths), _Asked(align, frame, _seconds(over))
-    kinds = _kinds_of_judge(against)
+    files, asked = _find_files(paths), _Asked(align, frame, _parse_seconds(over))
+    kinds = _list_judge_kinds(against)
     if against is not None and not kinds and not inputs.file_exists(against):
         raise BadParameter(
             f"--against {against}: there is no such file; give truth, reference or both, or name a reference or a "
@@ -162,7 +162,7 @@ def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
     ordered = sorted(scores, key=lambda s: (*place(s), s.total_rmse_deg))
     for against, same in groupby(sorted(ordered, key=lambda s: s.against), key=lambda s: s.against):
         judged = list(same)
-        sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=place)]
+        sections = [[_format_cells(s) for s in rows] for _, rows in groupby(judged, key=place)]
         first = 0 if len(sections) > 1 or wanted is not None else 1
         whose = "" if len(sections) > 1 else f"{judged[0].recording} "
         title = f"{whose}against the {against}, aligned: {judged[0].alignment.kind}; RMSE in deg"
@@ -174,7 +174,7 @@ def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
             wanted=wanted,
         )
         print_line(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
-        for note in _notes(judged):
+        for note in _list_notes(judged):
             print_line(note)
 
 
@@ -182,11 +182,13 @@ def _print_turns(scores: Sequence[Score]) -> None:
     """Print the errors of turns over given times: RMSE and largest, a section per recording, best first."""
     named = [f"over {turn.over_s:g} s" for turn in scores[0].turns]
     ordered = sorted(scores, key=lambda s: (s.recording, s.against, s.turns[0].rmse_deg))
-    sections = [[_turn_cells(s) for s in rows] for _, rows in groupby(ordered, key=lambda s: (s.recording, s.against))]
+    sections = [
+        [_format_turns(s) for s in rows] for _, rows in groupby(ordered, key=lambda s: (s.recording, s.against))
+    ]
     print_table("errors of turns; RMSE / largest, deg", ["recording", "estimate", "against", *named], sections)
 
 
-def _turn_cells(s: Score) -> list[str]:
+def _format_turns(s: Score) -> list[str]:
     return [s.recording, s.estimated, s.against, *(f"{t.rmse_deg:.3f} / {t.max_deg:.2f}" for t in s.turns)]
 
 
@@ -203,7 +205,7 @@ def _judge_of(path: Path) -> Judge:
     raise BadParameter(f"{path}: is {what}; give a reference (stillpoint reference) or a recording that holds a truth")
 
 
-def _files(paths: Sequence[Path]) -> list[Path]:
+def _find_files(paths: Sequence[Path]) -> list[Path]:
     """Return all estimates in the paths, and references and trajectories that are named one by one.
 
     A recording stands for the estimates beside it.
@@ -227,7 +229,8 @@ def _is_named_alone(path: Path) -> bool:
     return inputs.kind_of(path) == "reference" or _is_trajectory(path)
 
 
-def _seconds(over: str | None) -> tuple[float, ...]:
+def _parse_seconds(over: str | None) -> tuple[float, ...]:
+    """Return the times in s of ``--over``; raises :class:`BadParameter` with an example."""
     try:
         seconds = () if over is None else tuple(float(part) for part in over.split(","))
         if all(0 < each < float("inf") for each in seconds):
@@ -237,7 +240,7 @@ def _seconds(over: str | None) -> tuple[float, ...]:
     raise BadParameter(f"--over {over}: give seconds above 0 with commas between, for example 1,10,60")
 
 
-def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
+def _list_judge_kinds(against: Path | None) -> tuple[str, ...]:
     """Return the kinds of judge that a word of --against asks for; none where it names a file or nothing."""
     words = {"truth": ("truth",), "reference": ("reference",), "both": ("truth", "reference")}
     return () if against is None or inputs.file_exists(against) else words.get(str(against), ())
@@ -356,7 +359,8 @@ def _find_judge(file: Path, thing: Estimate | Reference, kind: str | None = None
     )
 
 
-def _cells(s: Score) -> list[str]:
+def _format_cells(s: Score) -> list[str]:
+    """Return the row of a score as text, marked where it lies below the judge's own accuracy."""
     found: Mapping[str, Any] = s.alignment.found()
     parts = [f"{found['heading_deg']:+.2f}°"] if s.alignment.kind != "none" else ["-"]
     if "mounting" in s.alignment.kind:
@@ -379,7 +383,8 @@ def _cells(s: Score) -> list[str]:
     ]
 
 
-def _notes(scores: Sequence[Score]) -> list[str]:
+def _list_notes(scores: Sequence[Score]) -> list[str]:
+    """Return what a reader has to know besides the figures: samples left out, conversions, the judge's accuracy."""
     notes = []
     for s in scores:
         left_out = {"outside": s.samples_outside, "in gaps": s.samples_in_gap, "not ready": s.samples_unready}

@@ -82,6 +82,7 @@ def simulate(
 
 
 def _list_facts(path: Path, recording: Recording) -> dict[str, Any]:
+    """Return what was simulated for ``--json``."""
     return {
         "file": str(path),
         "minutes": recording.duration_s / 60,
@@ -92,6 +93,7 @@ def _list_facts(path: Path, recording: Recording) -> dict[str, Any]:
 
 
 def _format_line(row: dict[str, Any]) -> str:
+    """Return what was simulated in one line."""
     rates = ", ".join(f"{name} {rate:.1f} Hz" for name, rate in row["rates_hz"].items())
     rests = f", {row['rests']} rests" if row["rests"] else ""
     notes = "".join(f"; {note}" for note in row["notes"])

@@ -46,7 +46,7 @@ def spin_design(
     out: OutDir = Path(),
     json: JsonFile = None,
 ) -> None:
-    """Accuracy over the lever arms d1 of F4 and d2 of F5, with the range's limit (Asghari et al. 2018, section 3.2).
+    """Show accuracy over the arms d1 of F4 and d2 of F5, with the range's limit (Asghari et al. 2018, section 3.2).
 
     Writes spin-design.png and spin-design.json. The first row is the most accurate placement that fits. Errors of the
     rate are in deg/s at the fastest rate: one sample, filtered, for each mg of F4's bias, for each mm of d1's error.
@@ -111,6 +111,7 @@ def _list_neighbours(rig: Rig, chosen: Placement) -> list[Placement]:
 
 
 def _format_row(one: Placement) -> Sequence[str]:
+    """Return the row of a placement as text; arms in m, shares in percent."""
     return (
         f"{one.d1_m:.3f}",
         f"{one.d2_m:.3f}",
@@ -127,6 +128,7 @@ def _format_row(one: Placement) -> Sequence[str]:
 
 
 def _draw_figure(rig: Rig, chosen: Placement) -> Figure:
+    """Return the figure of a rig: radial, tangential and both over the arms."""
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     for ax, draw in zip(figure.subplots(1, 3), (draw_radial, draw_tangential, draw_both), strict=True):
         draw(ax, rig, chosen)

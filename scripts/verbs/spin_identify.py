@@ -47,7 +47,7 @@ def spin_identify(
     out: OutDir = Path(),
     json: JsonFile = None,
 ) -> None:
-    """Noise variances of F4 and F5 from trials with an encoder (Asghari et al. 2018, eqs (28)-(31)).
+    """Find noise variances of F4 and F5 from trials with an encoder (Asghari et al. 2018, eqs (28)-(31)).
 
     Writes spin-identify.png and spin-identify.json. The maximum over the trials is taken, as in the paper. D5 by (30)
     holds the noise of the encoder's differences too; what the accelerometer and the encoder share is motion, which
@@ -78,6 +78,7 @@ def spin_identify(
 
 
 def _print_variances(found: Identified) -> None:
+    """Print variances and means of each trial, notes on them, and the settings that follow."""
     most = dict.fromkeys(_TRIAL_COLUMNS, "") | {"recording": "maximum", "D4": f"{found.d4_m2ps4:.3f}"}
     most |= {"D5": f"{found.d5_m2ps4:.3f}", "D5 alone": f"{found.d5_alone_m2ps4:.3f}"}
     sections: list[list[Sequence[str]]] = [[_format_row(one) for one in found.trials], [list(most.values())]]
@@ -139,6 +140,7 @@ def _list_notes(found: Identified) -> list[str]:
 
 
 def _format_row(one: Trial) -> Sequence[str]:
+    """Return the row of a trial as text; variances in (m/s^2)^2."""
     return (
         one.recording,
         str(one.samples),
@@ -155,6 +157,7 @@ def _format_row(one: Trial) -> Sequence[str]:
 
 
 def _draw_figure(found: Identified) -> Figure:
+    """Return the figure of the radial and tangential variances."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     for ax, which in zip(figure.subplots(1, 2), ("radial", "tangential"), strict=True):
         draw_variances(ax, found, which)

@@ -216,6 +216,7 @@ def _print_summary(passed: Counts, streams: Mapping[str, Live]) -> None:
 
 
 def _list_facts(passed: Counts, name: str, one: Live) -> dict[str, Any]:
+    """Return counts, latencies and the way it ended of one estimator for ``--json``."""
     return {
         "estimator": name,
         "n_samples": passed.n_samples,

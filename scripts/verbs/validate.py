@@ -144,7 +144,7 @@ def validate(
     if len(reasons) == 1 and None not in reasons:
         raise StillpointError(*reasons)
     if json != STDOUT:
-        _print(rows, summary(rows), align, columns)
+        _print_results(rows, summary(rows), align, columns)
     if any(outcome.defect for outcome in outcomes):
         return 1
     return 0 if None in reasons else 2
@@ -229,14 +229,14 @@ def _validate_fidelity(
     if json != STDOUT:
         estimated = len({row.estimator for row in found.rows})
         title = f"judges of {estimated} estimators on {found.recordings} recordings, aligned: {align}"
-        print_table(title, _FIDELITY_COLUMNS, [[_fidelity_cells(judge) for judge in found.judges]], texts=1)
+        print_table(title, _FIDELITY_COLUMNS, [[_format_fidelity(judge) for judge in found.judges]], texts=1)
         errors = ((row.error, f"{row.judge} of {row.estimator}") for row in found.rows if row.error is not None)
         print_refusals("not compared", errors)
         print_line(f"written to {out}: fidelity.json, fidelity.png")
     return 0 if any(judge.recordings for judge in found.judges) else 2
 
 
-def _fidelity_cells(judge: JudgeFidelity) -> list[str]:
+def _format_fidelity(judge: JudgeFidelity) -> list[str]:
     figures = (judge.tau_pooled, judge.tau_median, judge.tau_worst)
     shares = (judge.relative_rmse_median, judge.relative_rmse_p95)
     return [
@@ -249,11 +249,12 @@ def _fidelity_cells(judge: JudgeFidelity) -> list[str]:
     ]
 
 
-def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, wanted: str | None) -> None:
-    scored = [_figures(asdict(row)) + _format_found(row) for row in rows]
+def _print_results(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, wanted: str | None) -> None:
+    """Print the errors by recording and by source, and what was refused."""
+    scored = [_format_figures(asdict(row)) + _format_found(row) for row in rows]
     named = [[row.recording, row.method, *cells] for row, cells in zip(rows, scored, strict=True)]
     below = [
-        [f"{row['statistic']} of {row['scored']} of {row['of']}", row["method"], *_figures(row), "", "", ""]
+        [f"{row['statistic']} of {row['scored']} of {row['of']}", row["method"], *_format_figures(row), "", "", ""]
         for row in means
     ]
     print_table(f"against the truth, aligned: {align}", _COLUMNS, [named, below], wanted=wanted)
@@ -267,6 +268,7 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, w
 
 
 def _format_source(one: SourceSummary) -> list[str]:
+    """Return the row of a source as text: means, worst, and how many references carry a warning."""
     errors = (one.total_mean_deg, one.heading_mean_deg, one.total_worst_deg)
     figures = (*errors, one.coverage95_mean, one.coverage95_least, one.nees_per_dof_mean)
     warned = map(str, one.warned.values()) if one.method in METHODS else ["-"] * len(WARNINGS)
@@ -274,11 +276,12 @@ def _format_source(one: SourceSummary) -> list[str]:
     return [one.source or "not stated", one.method, f"{one.scored} of {one.of}", *cells, *warned]
 
 
-def _figures(row: dict[str, Any]) -> list[str]:
+def _format_figures(row: dict[str, Any]) -> list[str]:
     return ["-" if row[name] is None else f"{row[name]:.2f}" for name in FIGURES]
 
 
 def _format_found(row: ValidationRow) -> list[str]:
+    """Return the heading in deg, mounting in deg and clock offset in ms that aligned a row, as text."""
     found = row.found
     if found.heading_deg is None or found.mounting_deg is None or found.time_s is None:
         return ["-"] * 3

@@ -211,25 +211,27 @@ class Leaderboard:
             "version": self.version,
             "study": self.study,
         }
-        plain: dict[str, Any] = _finite(content)
+        plain: dict[str, Any] = _drop_non_finite(content)
         return plain
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "Leaderboard":
         """Return the leaderboard that :meth:`to_json` wrote."""
-        rows = iter([_row(row) for row in content["rows"]])
-        pairs = iter([_pair(pair) for pair in content["pairs"]])
+        rows = iter([_parse_row(row) for row in content["rows"]])
+        pairs = iter([_parse_pair(pair) for pair in content["pairs"]])
         tables = []
         for table in content["tables"]:
             named = {name: value for name, value in table.items() if name not in ("row_count", "pair_count")}
             mine = list(islice(rows, table["row_count"]))
-            tables.append(_table(named, mine, list(islice(pairs, table["pair_count"]))))
+            tables.append(_parse_table(named, mine, list(islice(pairs, table["pair_count"]))))
         return cls(
             against=content["against"],
             align=content["align"],
             tables=tuple(tables),
             groups=tuple(
-                _table(group, [_row(row) for row in group["rows"]], [_pair(pair) for pair in group["pairs"]])
+                _parse_table(
+                    group, [_parse_row(row) for row in group["rows"]], [_parse_pair(pair) for pair in group["pairs"]]
+                )
                 for group in content["groups"]
             ),
             runs=tuple(Run(**run) for run in content["recordings"]),
@@ -245,30 +247,31 @@ def _count_rows(table: Table) -> dict[str, Any]:
     return {**kept, "row_count": len(table.rows), "pair_count": len(table.pairs)}
 
 
-def _table(content: Mapping[str, Any], rows: list[Row], pairs: list[Pair]) -> Table:
+def _parse_table(content: Mapping[str, Any], rows: list[Row], pairs: list[Pair]) -> Table:
     named = {**content, "recordings": tuple(content["recordings"]), "rows": tuple(rows), "pairs": tuple(pairs)}
     return Table(**named)
 
 
-def _row(content: Mapping[str, Any]) -> Row:
-    summaries = {name: _summary(content[name]) for name in content if name.endswith("_rmse_deg")}
+def _parse_row(content: Mapping[str, Any]) -> Row:
+    summaries = {name: _parse_summary(content[name]) for name in content if name.endswith("_rmse_deg")}
     rank = None if content["rank"] is None else tuple(content["rank"])
     return Row(**{**content, **summaries, "rank": rank})
 
 
-def _summary(content: Mapping[str, Any] | None) -> Summary | None:
+def _parse_summary(content: Mapping[str, Any] | None) -> Summary | None:
     return None if content is None else Summary(**{**content, "ci95": tuple(content["ci95"])})
 
 
-def _pair(content: Mapping[str, Any]) -> Pair:
+def _parse_pair(content: Mapping[str, Any]) -> Pair:
     return Pair(**{**content, "ci95": tuple(content["ci95"])})
 
 
-def _finite(value: Any) -> Any:
+def _drop_non_finite(value: Any) -> Any:
+    """Return plain values with None for every number that is not finite, as JSON has none."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): _drop_non_finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [_drop_non_finite(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

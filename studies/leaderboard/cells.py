@@ -88,6 +88,7 @@ def make_estimates(cells: Sequence[Cell], store: ResultStore, run_jobs: JobRunne
 
 
 def _add_error(cell: Cell, errors: dict[str, str | None], store: ResultStore) -> Cell:
+    """Return the cell with the error of its estimate, from this run or from the results that are kept."""
     if cell.job is None:
         return cell
     facts = store.facts(cell.job.key)

@@ -90,24 +90,25 @@ def find_entrants(
         names = list(ATTITUDES) if each == "all" else [each]
         found += [_find_entrant(name, labels, given) for name in names]
     used = {entrant.target for entrant in found if entrant.kind == "file"}
-    found += [_entrant_of_files(label) for label in labels if label not in used]
+    found += [_make_entrant_of_files(label) for label in labels if label not in used]
     names = [entrant.name for entrant in found]
     unknown = [name for name in given if name not in names]
     if unknown:
         raise BadParameter(f"--set {unknown[0]}: is not among the estimators {', '.join(names)}")
-    return _with_distinct_names(found)
+    return _make_names_distinct(found)
 
 
 def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, Mapping[str, Any]]) -> Entrant:
+    """Return what a name stands for: an estimator of the table, an own one, or files beside the recordings."""
     if not isinstance(name, str):
-        return _entrant_of_object(name)
+        return _make_entrant_of_object(name)
     known, at, settings_file = name.partition("@")
     if known in ESTIMATORS:
         settings, origin = read_settings(Path(settings_file), known) if at else ({}, _name_defaults(known))
         shown = f"{known}@{Path(settings_file).stem}" if at else known
         if shown in params:
             settings, origin = {**settings, **params[shown]}, "set by the user"
-        return replace(_entrant_of_table(shown, known, settings, origin), spelled=name)
+        return replace(_make_entrant_of_table(shown, known, settings, origin), spelled=name)
     if ":" in name:
         return Entrant(name.rpartition(":")[2], "own", name, origin=_OWN, version=version_of_own(name), slow=True)
     installed = entry_points(group=_ENTRY_POINTS, name=name)
@@ -115,7 +116,7 @@ def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, M
         target = next(iter(installed)).value
         return Entrant(name, "own", target, origin=_OWN, version=version_of_own(target), slow=True)
     if name in labels:
-        return _entrant_of_files(name)
+        return _make_entrant_of_files(name)
     if name == "device":
         raise BadParameter("device: no recording has its device's own orientation beside it (NAME.device.*)")
     raise BadParameter(
@@ -130,11 +131,12 @@ def _name_defaults(known: str) -> str:
     return f"{DEFAULTS}, chosen on {chosen_on}" if chosen_on else DEFAULTS
 
 
-def _entrant_of_files(label: str) -> Entrant:
+def _make_entrant_of_files(label: str) -> Entrant:
     return Entrant(label, "file", label, origin=_UNKNOWN)
 
 
-def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origin: str) -> Entrant:
+def _make_entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origin: str) -> Entrant:
+    """Return an estimator of the table with its settings; raises :class:`BadParameter` for a spin estimator."""
     if known in SPINS:
         raise BadParameter(f"{known}: follows a spin about one axis; a leaderboard compares attitudes")
     entry = ESTIMATORS[known]
@@ -149,7 +151,7 @@ def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origi
     return Entrant(shown, "table", known, dict(settings), origin, code, known in _SLOW)
 
 
-def _entrant_of_object(own: Own) -> Entrant:
+def _make_entrant_of_object(own: Own) -> Entrant:
     """Return the entrant of a function or class given from Python.
 
     Raises :class:`BadParameter` for an instance: its state would go from one recording to the next.
@@ -182,7 +184,7 @@ def read_settings(path: Path, estimator: str) -> tuple[dict[str, Any], str]:
     return settings, str(content.get("tuned_on", f"set in {path.name}"))
 
 
-def _with_distinct_names(entrants: Sequence[Entrant]) -> list[Entrant]:
+def _make_names_distinct(entrants: Sequence[Entrant]) -> list[Entrant]:
     """Drop repetitions; entrants that share a name are shown by their target."""
     once = list({(entrant.name, entrant.kind, entrant.target): entrant for entrant in entrants}.values())
     names = [entrant.name for entrant in once]

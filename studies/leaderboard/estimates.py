@@ -68,7 +68,7 @@ def make_estimate(job: EstimateJob) -> None:
             raise
         job.store.put(job.key, {"error": str(error)})
         return
-    job.store.put(job.key, _facts(made), _arrays(made, recording))
+    job.store.put(job.key, _make_facts(made), _make_arrays(made, recording))
 
 
 def load_estimate(result: Result, recording: Recording, name: str) -> Estimate:
@@ -90,7 +90,8 @@ def load_estimate(result: Result, recording: Recording, name: str) -> Estimate:
     )
 
 
-def _facts(made: Estimate) -> dict[str, Any]:
+def _make_facts(made: Estimate) -> dict[str, Any]:
+    """Return the facts of an estimate that are kept as JSON."""
     heading = made.diagnostics.get("heading")
     finite = np.isfinite(made.ns_per_sample)
     return {
@@ -101,7 +102,8 @@ def _facts(made: Estimate) -> dict[str, Any]:
     }
 
 
-def _arrays(made: Estimate, recording: Recording) -> Mapping[str, NDArray[Any]]:
+def _make_arrays(made: Estimate, recording: Recording) -> Mapping[str, NDArray[Any]]:
+    """Return the columns of an estimate that are kept, in single precision; covariances as upper triangles (N, 6)."""
     if made.q_nb is None:
         raise BadParameter(f"{made.name}: is an angle about one axis; a leaderboard compares attitudes")
     arrays: dict[str, NDArray[Any]] = {"q_nb": made.q_nb.astype(np.float32)}
@@ -129,6 +131,7 @@ def _limit_warm_up(t_ns: NDArray[np.int64], ready: NDArray[np.bool_]) -> NDArray
 
 
 def _unpack_covariance(upper: NDArray[np.float32]) -> Floats:
+    """Return covariances (N, 3, 3) from their upper triangles (N, 6)."""
     cov = np.empty((len(upper), 3, 3))
     cov[:, _UPPER[0], _UPPER[1]] = upper
     cov[:, _UPPER[1], _UPPER[0]] = upper

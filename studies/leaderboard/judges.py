@@ -83,14 +83,14 @@ def load_judge(spec: JudgeSpec, recording: Recording, estimate: Estimate | None 
     """Load the judge of a recording; raises :class:`BadRecording` when it has no truth to judge by."""
     judge: Reference | Truth | Estimate
     if spec.name == TRUTH:
-        judge = _truth_of(recording)
+        judge = _require_truth(recording)
     elif spec.file is not None:
         judge = read_reference(spec.file)
     else:
         assert estimate is not None
         judge = estimate
     if isinstance(judge, Estimate) or (spec.at_truth and isinstance(judge, Reference)):
-        return _read_at_truth(judge, _truth_of(recording))
+        return _read_at_truth(judge, _require_truth(recording))
     return Judge(judge, moving_samples(judge))
 
 
@@ -101,7 +101,7 @@ def covariance_n_deg2(reference: Reference) -> Floats:
     return np.asarray(turned * np.rad2deg(1.0) ** 2, dtype=np.float64)
 
 
-def _truth_of(recording: Recording) -> Truth:
+def _require_truth(recording: Recording) -> Truth:
     if recording.truth is None:
         raise BadRecording(f"{recording.name}: has no independent truth; use --against reference")
     return recording.truth

@@ -67,10 +67,11 @@ class ScoredRuns:
         sd = np.zeros((len(recordings), len(labels), len(labels)))
         for k, name in enumerate(recordings):
             if name in self.judges:
-                sd[k] = self._judge_sd_of(name, labels, _AXES[figure], rmse[k])
+                sd[k] = self._compute_judge_sd(name, labels, _AXES[figure], rmse[k])
         return sd
 
-    def _judge_sd_of(self, name: str, labels: Sequence[str], axes: list[int], rmse_deg: Floats) -> Floats:
+    def _compute_judge_sd(self, name: str, labels: Sequence[str], axes: list[int], rmse_deg: Floats) -> Floats:
+        """Return the standard deviation (E, E) of log ratios between estimators that the judge's own errors cause."""
         judge, series = self.judges[name], [self.errors[name, label] for label in labels]
         common = reduce(np.intersect1d, [judge.bins_ns, *(one.bins_ns for one in series)])
         error = np.stack([one.error_n_deg[np.searchsorted(one.bins_ns, common)] for one in series], axis=1)
@@ -79,7 +80,7 @@ class ScoredRuns:
 
 
 def build_tables(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> list[Table]:
-    """Rank the rows, those apart whose input lacks a magnetometer, as their heading and total error have no meaning.
+    """Rank the rows. Without a magnetometer heading and total error have no meaning, so such rows are ranked apart.
 
     Rows with the same input (``calibration``) stay together. Rows that may be ranked by the total error come first.
     """
@@ -106,7 +107,7 @@ def _build_table(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: S
         for row in rows
         if names and not failed[row.label] and (ranked_by == "inclination" or _has_heading(row))
     ]
-    pairs, ranks = _compare(runs, names, row_of, ranked, ranked_by)
+    pairs, ranks = _compare_ranked(runs, names, row_of, ranked, ranked_by)
     filled = [_fill_row(row, runs, counted, failed[row.label], ranks.get(row.label)) for row in rows]
     against = _name_judges(runs, names, labels)
     table = Table(
@@ -124,9 +125,10 @@ def _build_table(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: S
     return write_conclusion(table, counted, [s.recording for s in sources if s.recording not in names])
 
 
-def _compare(
+def _compare_ranked(
     runs: ScoredRuns, names: Sequence[str], row_of: Sequence[int], ranked: Sequence[str], figure: RankedBy
 ) -> tuple[PairTable | None, dict[str, tuple[int, int]]]:
+    """Return the comparison of all pairs of ranked estimators, and the range of ranks of each."""
     if not ranked:
         return None, {}
     rmse = np.exp(merge_rows(np.log(np.maximum(runs.rmse_deg(names, ranked, figure), 1e-6)), row_of))
@@ -138,13 +140,14 @@ def _compare(
 def _fill_row(
     row: Row, runs: ScoredRuns, sources: Sequence[Source], failed: Sequence[str], rank: tuple[int, int] | None
 ) -> Row:
+    """Return a row of the table with rank, counts and figures over its recordings."""
     scored = [source for source in sources if source.recording not in failed]
     mine = [runs.runs[source.recording, row.label] for source in scored]
     figures: dict[str, Any] = {
         "rank": rank,
         "recordings": len(sources),
         "failed": len(failed),
-        "against": " and ".join(sorted({_kind_of(run.against) for run in mine}, reverse=True)),
+        "against": " and ".join(sorted({_find_kind(run.against) for run in mine}, reverse=True)),
         "ns_per_sample": _apply_to_known(median, [run.ns_per_sample for run in mine]),
         "nees_per_dof": _apply_to_known(fmean, [run.nees_per_dof for run in mine]),
         "coverage95": _apply_to_known(fmean, [run.coverage95 for run in mine]),
@@ -155,6 +158,7 @@ def _fill_row(
 
 
 def _summarise(runs: ScoredRuns, sources: Sequence[Source], label: str, figure: RankedBy) -> Summary:
+    """Return typical, mean, median and worst RMSE in deg of an estimator over recordings."""
     names, row_of = [source.recording for source in sources], number_rows(sources)
     rmse = runs.rmse_deg(names, [label], figure)
     judge = runs.judge_sd(names, [label], figure)
@@ -170,6 +174,7 @@ def _summarise(runs: ScoredRuns, sources: Sequence[Source], label: str, figure: 
 
 
 def _name_pairs(found: PairTable, labels: Sequence[str], against: str) -> list[Pair]:
+    """Return the comparison of each pair of estimators with its verdict."""
     pairs = []
     for j, k in combinations(range(len(labels)), 2):
         verdict: Verdict = "a" if found.better[j, k] else "b" if found.better[k, j] else "undecided"
@@ -198,11 +203,11 @@ def _has_heading(row: Row) -> bool:
 
 
 def _name_judges(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]) -> str:
-    kinds = {_kind_of(runs.runs[name, label].against) for name in names for label in labels}
+    kinds = {_find_kind(runs.runs[name, label].against) for name in names for label in labels}
     return " and ".join(sorted(kinds, reverse=True)) or _TRUTH
 
 
-def _kind_of(judge: str) -> str:
+def _find_kind(judge: str) -> str:
     """Return "reference" for "reference (graph)"."""
     return judge.partition(" (")[0]
 

@@ -72,9 +72,9 @@ def leaderboard(
         For an option or estimator that does not exist. What fails on a recording is an entry with its error instead.
     """
     objects = [each for each in estimators if not isinstance(each, str)]
-    with _folder(out) as folder:
+    with _open_folder(out) as folder:
         study = Study(
-            recordings=tuple(str(_file_of(each, folder)) for each in recordings),
+            recordings=tuple(str(_find_file(each, folder)) for each in recordings),
             estimators=tuple(each for each in estimators if isinstance(each, str)),
             params=params or {},
             against=against,
@@ -183,7 +183,8 @@ def _require_unchanged(study: Study, sources: Sequence[Source]) -> None:
 
 
 @contextmanager
-def _folder(out: Path | str | None) -> Iterator[Path]:
+def _open_folder(out: Path | str | None) -> Iterator[Path]:
+    """Yield the folder for results; a temporary one where none is named."""
     if out is not None:
         yield Path(out)
         return
@@ -191,7 +192,7 @@ def _folder(out: Path | str | None) -> Iterator[Path]:
         yield Path(name)
 
 
-def _file_of(recording: Path | str | Recording, folder: Path) -> Path:
+def _find_file(recording: Path | str | Recording, folder: Path) -> Path:
     """Return the file of a recording; one in memory is written to the folder of results."""
     if not isinstance(recording, Recording):
         return Path(recording)

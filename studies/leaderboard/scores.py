@@ -91,6 +91,7 @@ class _Material:
         return load_judge(self.job.judge, self.recording, None if key is None else self.estimate(key, "judge"))
 
     def estimate(self, key: str, name: str) -> Estimate:
+        """Return an estimate that was kept; raises :class:`BadRecording` where there is none."""
         result = self.job.store.get(key)
         if result is None or result.facts["error"] is not None:
             raise BadRecording(f"{name}: there is no estimate of {self.job.source.recording}")
@@ -107,6 +108,7 @@ def score_recording(job: ScoreJob) -> None:
 
 
 def _score_entries(job: ScoreJob) -> list[Scored]:
+    """Score all estimators of a recording over the samples that all of them cover."""
     material = _Material(job)
     masks: dict[str, Mask] = {}
     errors: dict[str, str] = {}
@@ -115,7 +117,7 @@ def _score_entries(job: ScoreJob) -> list[Scored]:
             masks[entry.label] = _find_coverage(job, entry, material)
         except StillpointError as error:
             errors[entry.label] = str(error)
-    whole = _union(list(masks.values()))
+    whole = _unite(list(masks.values()))
     for label, mask in list(masks.items()):
         share = float(mask.sum()) / max(int(whole.sum()), 1)
         if share < _LEAST_COVERED:
@@ -144,7 +146,7 @@ def judge_key(judge: JudgeSpec, score_facts: Mapping[str, Any]) -> str:
 
 def _find_coverage(job: ScoreJob, entry: Entry, material: _Material) -> Mask:
     """Return which samples (N,) of the judge move and are covered by an estimate."""
-    key = _coverage_key(entry.key, job.judge)
+    key = _make_coverage_key(entry.key, job.judge)
     kept = job.store.get(key)
     if kept is None:
         estimate = material.estimate(entry.key, entry.name)
@@ -160,14 +162,14 @@ def find_common_samples(estimate_keys: Sequence[str], judge: JudgeSpec, store: R
 
     Raises :class:`BadRecording` when it is not there any more.
     """
-    kept = [store.get(_coverage_key(key, judge)) for key in estimate_keys]
+    kept = [store.get(_make_coverage_key(key, judge)) for key in estimate_keys]
     masks = [_unpack_mask(one) for one in kept if one is not None]
     if len(masks) < len(kept):
         raise BadRecording(f"the samples that {judge.name} scored are missing in {store.folder}; run again")
     return np.logical_and.reduce(masks)
 
 
-def _coverage_key(estimate_key: str, judge: JudgeSpec) -> str:
+def _make_coverage_key(estimate_key: str, judge: JudgeSpec) -> str:
     return key_of(what="coverage", estimate=estimate_key, judge=judge.key, at_truth=judge.at_truth)
 
 
@@ -175,7 +177,7 @@ def _unpack_mask(kept: Result) -> Mask:
     return np.unpackbits(kept.arrays["bits"], count=kept.facts["n"]).astype(np.bool_)
 
 
-def _union(masks: list[Mask]) -> Mask:
+def _unite(masks: list[Mask]) -> Mask:
     return np.logical_or.reduce(masks) if masks else np.zeros(0, dtype=np.bool_)
 
 
@@ -193,12 +195,12 @@ def _score_entry(job: ScoreJob, entry: Entry, common: Mask, material: _Material)
     if job.store.facts(key) is None:
         estimate = material.estimate(entry.key, entry.name)
         comparison = compare(estimate, material.judge.trajectory, job.align, common)
-        facts = _figures(comparison) | {"samples_hash": samples_hash}
-        job.store.put(key, facts, _error_arrays(comparison))
+        facts = _list_figures(comparison) | {"samples_hash": samples_hash}
+        job.store.put(key, facts, _make_error_arrays(comparison))
     return key
 
 
-def _figures(comparison: Comparison) -> dict[str, Any]:
+def _list_figures(comparison: Comparison) -> dict[str, Any]:
     """Return the figures of a run under the names of :class:`Run`."""
     score = score_of(comparison)
     alignment = comparison.alignment
@@ -218,11 +220,11 @@ def _figures(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _error_arrays(comparison: Comparison) -> dict[str, NDArray[Any]]:
+def _make_error_arrays(comparison: Comparison) -> dict[str, NDArray[Any]]:
     """Return the mean error vectors per bin of time, and what is drawn of the errors over time."""
     moving, zero_ns = comparison.moving, int(comparison.t_ns[0])
     vectors = np.rad2deg(rotation_error_n(comparison.q_est[moving], comparison.q_true[moving]))
-    bins, means = _mean_per_bin(comparison.t_ns[moving], vectors)
+    bins, means = _average_per_bin(comparison.t_ns[moving], vectors)
     drawn = pack_curves(reduce_errors(comparison, zero_ns, _CURVE_COLUMNS))
     rests_ns = find_spans(~moving, comparison.t_ns)
     return {
@@ -244,11 +246,11 @@ def _keep_judge(job: ScoreJob, common: Mask, material: _Material) -> None:
         return
     reference = material.judge.trajectory
     assert isinstance(reference, Reference)
-    bins, means = _mean_per_bin(reference.t_ns[common], covariance_n_deg2(reference)[common].reshape(-1, 9))
+    bins, means = _average_per_bin(reference.t_ns[common], covariance_n_deg2(reference)[common].reshape(-1, 9))
     job.store.put(key, {}, {"bins": bins, "cov_n_deg2": means.reshape(-1, 3, 3)})
 
 
-def _mean_per_bin(t_ns: NDArray[np.int64], values: Floats) -> tuple[NDArray[np.int64], Floats]:
+def _average_per_bin(t_ns: NDArray[np.int64], values: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return the bins of time that hold samples, in ns, and the mean of the values (N, k) in each."""
     width_ns = max(1_000_000_000, -(-int(t_ns[-1] - t_ns[0] + 1) // _MOST_BINS))
     number = t_ns // width_ns

@@ -22,23 +22,25 @@ def survey_sources(files: Sequence[Path], store: ResultStore) -> list[Source]:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise BadParameter(f"{twice}: two recordings have this name; rename one, or compare them separately")
-    return [_survey(file, store) for file in files]
+    return [_survey_one(file, store) for file in files]
 
 
-def _survey(file: Path, store: ResultStore) -> Source:
+def _survey_one(file: Path, store: ResultStore) -> Source:
+    """Return what a file says about its recording, kept by its SHA-256; an unreadable file keeps the reason."""
     try:
         digest = sha256(file)
         key = key_of(what="source", input=digest, name=file.stem)
         facts = store.facts(key)
         if facts is None:
-            facts = _describe(file)
+            facts = _describe_file(file)
             store.put(key, facts)
     except StillpointError as error:
         return Source(file.stem, str(file), "", "", "", "", "", "", (), "none", False, error=str(error))
     return Source(file.stem, str(file), digest, **{**facts, "tags": tuple(facts["tags"])})
 
 
-def _describe(file: Path) -> dict[str, Any]:
+def _describe_file(file: Path) -> dict[str, Any]:
+    """Return the facts of a recording that a leaderboard needs. Raises :class:`BadParameter` for another kind."""
     found = provenance(file)
     if found.kind != "recording":
         raise BadParameter(f"{file}: holds one {found.kind}; give recordings")

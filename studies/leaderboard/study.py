@@ -30,6 +30,7 @@ class Study:
     sha256: Mapping[str, str] = field(default_factory=dict)  # of each recording when the study was made
 
     def __post_init__(self) -> None:
+        """Check the study; raises :class:`BadParameter` for an unknown judge or alignment, or without recordings."""
         require_known(self.against, AGAINST, "--against")
         require_known(self.align, ALIGN_KINDS, "alignment")
         if not self.recordings:
@@ -55,11 +56,11 @@ def read_study(path: Path) -> Study:
     if unknown is not None:
         raise BadParameter(f"{path}: has no setting {unknown!r}; {nearest(unknown, known)}")
     content.pop("stillpoint", None)
-    recordings = [_resolve_path(path, text) for text in _texts(content, "recordings", path)]
+    recordings = [_resolve_path(path, text) for text in _parse_texts(content, "recordings", path)]
     given: dict[str, Any] = {**content, "recordings": tuple(recordings)}
     for name in ("estimators", "calibration", "groups"):
         if name in content:
-            given[name] = tuple(_texts(content, name, path))
+            given[name] = tuple(_parse_texts(content, name, path))
     given["calibration"] = tuple(
         text if text in (NONE, REFERENCE) else _resolve_path(path, text) for text in given.get("calibration", (NONE,))
     )
@@ -71,19 +72,31 @@ def read_study(path: Path) -> Study:
 
 def study_toml(study: Study, version: str) -> str:
     """Return the study as TOML, with the version of stillpoint that ran it."""
-    lines = ["# stillpoint leaderboard -c study.toml -o OUT repeats this study.", f"stillpoint = {_value(version)}"]
+    lines = [
+        "# stillpoint leaderboard -c study.toml -o OUT repeats this study.",
+        f"stillpoint = {_format_value(version)}",
+    ]
     for each in fields(study):
         value = getattr(study, each.name)
         if value is not None and not isinstance(value, Mapping):
-            lines.append(f"{each.name} = {_value(value)}")
+            lines.append(f"{each.name} = {_format_value(value)}")
     for name, params in study.params.items():
-        lines += ["", f"[params.{_value(name)}]", *(f"{key} = {_value(value)}" for key, value in params.items())]
+        lines += [
+            "",
+            f"[params.{_format_value(name)}]",
+            *(f"{key} = {_format_value(value)}" for key, value in params.items()),
+        ]
     if study.sha256:
-        lines += ["", "[sha256]", *(f"{_value(name)} = {_value(digest)}" for name, digest in study.sha256.items())]
+        lines += [
+            "",
+            "[sha256]",
+            *(f"{_format_value(name)} = {_format_value(digest)}" for name, digest in study.sha256.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
-def _texts(content: Mapping[str, Any], name: str, path: Path) -> Sequence[str]:
+def _parse_texts(content: Mapping[str, Any], name: str, path: Path) -> Sequence[str]:
+    """Return a text or a list of texts as a list; raises :class:`BadParameter` for anything else."""
     value = content.get(name, [])
     if isinstance(value, str):
         return [value]
@@ -106,17 +119,17 @@ def map_own_file(estimator: str, move: Callable[[str], str]) -> str:
     return f"{known}@{move(settings)}" if at else estimator
 
 
-def _value(value: Any) -> str:
+def _format_value(value: Any) -> str:
     """Return a text, number, truth value or list of these as TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]" if len(value) < 3 else _long_list(value)
+        return f"[{', '.join(map(_format_value, value))}]" if len(value) < 3 else _format_long_list(value)
     escaped = str(value).replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c for c in escaped) + '"'
 
 
-def _long_list(values: Sequence[Any]) -> str:
-    return "[\n" + "".join(f"    {_value(value)},\n" for value in values) + "]"
+def _format_long_list(values: Sequence[Any]) -> str:
+    return "[\n" + "".join(f"    {_format_value(value)},\n" for value in values) + "]"

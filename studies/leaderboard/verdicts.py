@@ -98,7 +98,7 @@ def compare_pairs(rmse_deg: Floats, judge: Floats | None = None) -> PairTable:
     allowed = np.ones_like(half, dtype=np.bool_)
     if general:
         borrowed = _BORROWED_ROWS if estimators >= _LEAST_ESTIMATORS else 0
-        error, freedom = _standard_error(each, borrowed), n - 1 + borrowed
+        error, freedom = _compute_standard_error(each, borrowed), n - 1 + borrowed
         half = np.maximum(stdtrit(freedom, 0.975) * error, half)
         allowed = _allow_discoveries(2 * stdtr(freedom, -np.abs(middle / error)))
     better = allowed & (middle < -np.maximum(half, np.log(_LEAST_RATIO)))
@@ -116,7 +116,7 @@ def merge_rows(values: Floats, row_of: Sequence[int]) -> Floats:
     return np.stack([values[rows == k].mean(0) for k in range(rows.max() + 1)])
 
 
-def _standard_error(each: Floats, borrowed: int) -> Floats:
+def _compute_standard_error(each: Floats, borrowed: int) -> Floats:
     """Return the standard error (E, E) of the mean of log ratios (R, E, E), with the table's scatter borrowed."""
     n, estimators, _ = each.shape
     spread = each.var(0, ddof=1)

@@ -122,6 +122,7 @@ def _make_heat_map(board: Leaderboard) -> dict[str, Any]:
 
 
 def _make_heat_cell(run: Run | None, field: str, low: float, high: float) -> dict[str, Any] | None:
+    """Return a value with its place between the least and the largest on a log scale, from 0 to 1."""
     if run is None:
         return None
     value = getattr(run, field)
@@ -131,6 +132,7 @@ def _make_heat_cell(run: Run | None, field: str, low: float, high: float) -> dic
 
 
 def _make_group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, Any]:
+    """Return columns and rows of the table that shows each estimator in each group of recordings."""
     names = [group.name for group in board.groups]
     columns = [
         {

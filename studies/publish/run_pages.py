@@ -86,6 +86,7 @@ def write_run_pages(out: Path, board: Leaderboard, run_jobs: JobRunner = run_her
 
 
 def _plan_pages(out: Path, board: Leaderboard) -> Iterator[_PageJob]:
+    """Yield one job per recording that has a score."""
     store = ResultStore(out / RESULTS)
     for source in board.sources:
         runs = [run for run in board.runs if run.recording == source.recording and run.score_key and run.estimate_key]

@@ -142,6 +142,7 @@ def _list_cells(table: Table) -> list[list[str]]:
 
 
 def _format_cells(row: Row, table: Table) -> list[str]:
+    """Return the cells of a row as text; angles in deg."""
     lead: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
     others = [getattr(row, f"{error}_rmse_deg") for error in _ERRORS if error != table.ranked_by]
     return [
@@ -171,6 +172,7 @@ def _conclude(table: Table) -> str:
 
 
 def _make_caption(table: Table) -> str:
+    """Return judge, recordings, input and order of a table in one sentence."""
     return make_printable(
         f"RMSE in degrees against {table.against} over {len(table.recordings)} recordings, input {table.inputs}, "
         f"ranked by the {table.ranked_by} error; geometric means with 95 % intervals."
@@ -178,6 +180,7 @@ def _make_caption(table: Table) -> str:
 
 
 def _format_latex_table(table: Table) -> str:
+    """Return a table in LaTeX, with its caption."""
     lines = [
         r"\begin{table}",
         r"\centering",

@@ -33,6 +33,7 @@ class Rig:
     period_s: float = 0.004
 
     def __post_init__(self) -> None:
+        """Check all values; raises :class:`BadParameter`."""
         if self.geometry not in _GEOMETRIES:
             raise BadParameter(f"geometry {self.geometry!r}: give one of {', '.join(_GEOMETRIES)}")
         if not 0 <= self.headroom < 1:

@@ -69,6 +69,7 @@ def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
 
 
 def _mark_range(ax: Axes, limit_m: float, headroom: float) -> None:
+    """Shade the arms beyond the range, and mark the range and the one with headroom."""
     last_m = ax.get_xlim()[1]
     ax.axvspan(limit_m, last_m, color="0.85", lw=0)
     ax.set_xlim(right=last_m)

@@ -130,6 +130,7 @@ def identify_variances(recordings: Sequence[Recording], by_truth: bool = False) 
 
 
 def _identify_trial(recording: Recording, by_truth: bool) -> Trial:
+    """Return variances and means of the residuals of F4 and F5; raises :class:`BadRecording` for unfit recordings."""
     spin = recording.spin
     if spin is None:
         raise BadRecording(f"{recording.name}: has no spin stream; import it with `stillpoint import spin`")
@@ -234,6 +235,7 @@ def _smooth_encoder(spin: Spin, encoder: Encoder, window_s: float) -> tuple[Floa
 
 
 def _compute_residual(values: Floats, angle_rad: Floats) -> Residual:
+    """Return the statistics of residuals (N,) in m/s^2 at angles (N,) in rad, with what turns with the shaft."""
     robust_sd = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(values - np.median(values))))
     return Residual(
         variance_m2ps4=float(np.var(values)),

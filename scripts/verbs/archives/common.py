@@ -63,8 +63,8 @@ def print_entries(archive: Archive, title: str, entries: Iterable[Entry]) -> Non
             entry.sha256[:12],
             entry.kind,
             entry.file_name,
-            _number(entry.columns.get("duration_s"), ".1f"),
-            _number(entry.columns.get("rate_hz"), ".1f"),
+            _format_number(entry.columns.get("duration_s"), ".1f"),
+            _format_number(entry.columns.get("rate_hz"), ".1f"),
             f"{entry.size / 1e6:.2f}",
             entry.added[:10],
             ", ".join(archive.labels(entry.sha256)[0]),
@@ -74,5 +74,5 @@ def print_entries(archive: Archive, title: str, entries: Iterable[Entry]) -> Non
     print_table(title, _COLUMNS, [rows], texts=3)
 
 
-def _number(value: float | None, form: str) -> str:
+def _format_number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)

@@ -84,7 +84,7 @@ def show(identity: str, /, *, archive: ArchiveDir = None, json: JsonFile = None)
         streams = [
             dict(row) for row in opened.catalogue.select("SELECT * FROM streams WHERE sha256 = ?", (entry.sha256,))
         ]
-        scores = _scores_of(opened, entry)
+        scores = _find_scores(opened, entry)
         if json != STDOUT:
             _print_object(opened, entry, streams, scores)
         parents = [{"name": name, "id": parent} for name, parent in opened.parents(entry.sha256)]
@@ -95,8 +95,8 @@ def show(identity: str, /, *, archive: ArchiveDir = None, json: JsonFile = None)
         write_json(json, [{**row, "scores": scores, "facts": facts}])
 
 
-def _scores_of(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
-    """Rows of score tables and leaderboards that are about this object, or about an estimate of this recording."""
+def _find_scores(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
+    """Return rows of score tables and leaderboards about this object, or about an estimate of this recording."""
     derived = json_text.dumps([one.sha256 for one in archive.find_derived(entry.sha256)] + [entry.sha256])
     rows = archive.catalogue.select(
         "SELECT s.* FROM scores s WHERE s.sha256 IN (SELECT value FROM json_each(?)) "
@@ -109,6 +109,7 @@ def _scores_of(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
 
 
 def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]], scores: list[dict[str, Any]]) -> None:
+    """Print everything about one object: facts, streams, what it was made from and what from it, and scores."""
     row = entry_row(archive, entry)
     print_line(f"{entry.file_name}: {entry.kind} {entry.name}")
     for key, value in row.items():
@@ -119,7 +120,7 @@ def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]],
         print_line(f"  {key:15} {f'{text:.6g}' if isinstance(text, float) else text}")
     if streams:
         columns = ("stream", "samples", "Hz", "start, s", "length, s", "gaps")
-        print_table("streams", columns, [[_stream_cells(one) for one in streams]], texts=1)
+        print_table("streams", columns, [[_format_stream(one) for one in streams]], texts=1)
     console = Console()
     console = console if console.is_terminal else Console(width=_WIDTH_OF_PIPES)
     if archive.parents(entry.sha256):
@@ -129,18 +130,23 @@ def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]],
     if scores:
         shown = [name for name in SCORE_FIGURES if any(row[name] is not None for row in scores)]
         cells = [
-            [str(row["recording"]), str(row["estimator"]), str(row["against"]), *(_figure(row[name]) for name in shown)]
+            [
+                str(row["recording"]),
+                str(row["estimator"]),
+                str(row["against"]),
+                *(_format_figure(row[name]) for name in shown),
+            ]
             for row in scores
         ]
         print_table("scores", ("recording", "estimate", "against", *shown), [cells], texts=3)
 
 
-def _stream_cells(one: dict[str, Any]) -> list[str]:
+def _format_stream(one: dict[str, Any]) -> list[str]:
     numbers = (f"{one[key]:.3f}" for key in ("rate_hz", "start_s", "length_s"))
     return [one["stream"], str(one["samples"]), *numbers, str(one["gaps"])]
 
 
-def _figure(value: float | None) -> str:
+def _format_figure(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
 
 
@@ -152,6 +158,7 @@ def _draw_parents(archive: Archive, entry: Entry) -> Tree:
 
 
 def _add_parents(archive: Archive, tree: Tree, sha256: str, depth: int) -> None:
+    """Add to a tree what an object was made from, down to this depth."""
     for name, parent in archive.parents(sha256):
         kept = archive.entry(parent)
         state = "not in the archive" if kept is None else f"{kept.kind}{', removed' if kept.removed else ''}"
@@ -168,6 +175,7 @@ def _draw_children(archive: Archive, entry: Entry) -> Tree:
 
 
 def _add_children(archive: Archive, tree: Tree, sha256: str, depth: int) -> None:
+    """Add to a tree what was made from an object, down to this depth."""
     for child in archive.children(sha256):
         branch = tree.add(Text(make_printable(f"{child.sha256[:12]}  {child.file_name}  ({child.kind})")))
         if depth:

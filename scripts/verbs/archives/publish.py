@@ -72,7 +72,7 @@ def export(
         raise BadParameter(f"--out {out}: is there already; name a new folder, .zip or .tar")
     with open_named(archive) as opened:
         items = select_items(opened, query, allow_unlicensed, alone)
-        files = bundle_files(items, about, _leaderboard_files(items))
+        files = bundle_files(items, about, _find_leaderboard_files(items))
         write_bundle(files, out)
     counts = Counter(item.entry.kind for item in items)
     size = sum(item.entry.size for item in items) / 1e6
@@ -80,7 +80,7 @@ def export(
     print_line(f"{out}: {what}; {size:.1f} MB")
 
 
-def _leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
+def _find_leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
     """Return the page of each leaderboard and the study that repeats it, by their paths in the bundle."""
     recordings = {item.entry.sha256: item.path for item in items if item.entry.kind == "recording"}
     files: dict[str, bytes] = {}
@@ -165,7 +165,7 @@ def bundle(
     if out.suffix != ".mcap" or not out.absolute().parent.is_dir():
         raise BadParameter(f"--out {out}: name a file NAME.mcap in a folder that is there")
     with open_named(archive) as opened:
-        entry = _recording_of(opened, opened.resolve(identity))
+        entry = _find_recording(opened, opened.resolve(identity))
         children = {child.sha256: child for child in opened.children(entry.sha256)}.values()
         references = [child for child in children if child.kind in ("reference", "roll reference")]
         found = {str(child.columns["estimator"]): child for child in children if child.kind == "estimate"}
@@ -185,7 +185,7 @@ def bundle(
         print_line(f"without error ({name}): {reason}")
 
 
-def _recording_of(archive: Archive, entry: Entry) -> Entry:
+def _find_recording(archive: Archive, entry: Entry) -> Entry:
     """Return the recording that an object is, or was made from."""
     if entry.kind == "recording":
         return entry

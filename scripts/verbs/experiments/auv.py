@@ -87,6 +87,7 @@ def _score_file(job: _File) -> Trial:
 
 
 def _make_rows(trials: list[Trial]) -> list[list[str]]:
+    """Return the rows of the table: the summary of each method over the trials."""
     return [
         [trials[0].sea, method.name]
         + [f"{summarise_trials(trials, method.name, column.key):.2g}" for column in COLUMNS]
@@ -95,6 +96,7 @@ def _make_rows(trials: list[Trial]) -> list[list[str]]:
 
 
 def _list_facts(one: Trial) -> list[dict[str, Any]]:
+    """Return the figures of a trial for ``--json``, one row per method."""
     return [
         {"sea": one.sea, "recording": one.name, "method": method, **asdict(figures)}
         for method, figures in one.figures.items()

@@ -66,21 +66,21 @@ class _File:
 
 
 def sliding(*, correction: Correction = AS_RECORDED, trials: Trials = SIMULATED) -> None:
-    """Experiment 1 of Elmi Aziz and Mohseni Araste 2021: a phone slid over a table.
+    """Repeat experiment 1 of Elmi Aziz and Mohseni Araste 2021: a phone slid over a table.
 
     Writes phone-1.experiment.html: the paper's table 2 and figures 5 to 8 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
     """
-    _run("phone-1", None, trials, correction)
+    _run_experiment("phone-1", None, trials, correction)
 
 
 def tripod(*, correction: Correction = AS_RECORDED, trials: Trials = SIMULATED) -> None:
-    """Experiment 2 of Elmi Aziz and Mohseni Araste 2021: a phone on a tripod, and its gyro.
+    """Repeat experiment 2 of Elmi Aziz and Mohseni Araste 2021: a phone on a tripod, and its gyro.
 
     Writes phone-2.experiment.html: the paper's table 3 and figures 10 to 12 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
     """
-    _run("phone-2", None, trials, correction)
+    _run_experiment("phone-2", None, trials, correction)
 
 
 def in_hand(
@@ -90,7 +90,7 @@ def in_hand(
     correction: Correction = AS_RECORDED,
     trials: Trials = SIMULATED,
 ) -> None:
-    """Experiment 3 of Elmi Aziz and Mohseni Araste 2021: a phone in the hand, CF and Kalman filters.
+    """Repeat experiment 3 of Elmi Aziz and Mohseni Araste 2021: a phone in the hand, CF and Kalman filters.
 
     Writes phone-3.experiment.html: the paper's table 4 and figures 13 to 15 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and accuracy and time of the Kalman filters.
@@ -103,10 +103,15 @@ def in_hand(
     minutes
         Length of the simulated recording of the comparison with Kalman filters, by default 10; the paper's has 120.
     """
-    _run("phone-3", hand, trials, correction, _MINUTES if minutes is None and trials.recording is None else minutes)
+    _run_experiment(
+        "phone-3", hand, trials, correction, _MINUTES if minutes is None and trials.recording is None else minutes
+    )
 
 
-def _run(name: str, hand: str | None, trials: Trials, correction: Correction, minutes: float | None = None) -> None:
+def _run_experiment(
+    name: str, hand: str | None, trials: Trials, correction: Correction, minutes: float | None = None
+) -> None:
+    """Run an experiment in the hands or over the files that are asked for, write its page and print its table."""
     scenario, files, calibration = EXPERIMENTS[name], trials.files, correction.calibration
     if calibration is not None and not files:
         raise BadParameter("--calibration: corrects your own recordings; give them by --recording")
@@ -127,7 +132,7 @@ def _run(name: str, hand: str | None, trials: Trials, correction: Correction, mi
     command = " ".join([*words, *([f"--minutes {minutes:g}"] if minutes else [])])
     write_text(page, phone_page(scenario, by_hand, long_runs, minutes or 0.0, command))
     if trials.json != STDOUT:
-        _print(scenario, by_hand, long_runs, minutes or 0.0)
+        _print_results(scenario, by_hand, long_runs, minutes or 0.0)
         left_out = [one.name for one in made if one.mag_left_out]
         if left_out:
             print_line(
@@ -149,9 +154,10 @@ def _run_trial(job: _Job) -> Trial:
     return run_trial(job.scenario, job.hand, job.seed)
 
 
-def _print(
+def _print_results(
     scenario: Scenario, by_hand: Mapping[str, Sequence[Trial]], long_runs: Sequence[LongRun], minutes: float
 ) -> None:
+    """Print the errors of all methods and judges, and what they do over a long recording."""
     trials = len(next(iter(by_hand.values())))
     rows = [*make_method_rows(scenario, by_hand), *make_judge_rows(by_hand)]
     sections: list[list[list[str]]] = []
@@ -183,6 +189,7 @@ def _format_cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def _list_facts(one: Trial) -> list[dict[str, Any]]:
+    """Return the scores of a trial for ``--json``, and the drift of its gyro."""
     place = {"hand": one.hand, "recording": one.name}
     scored = [
         {**score_row(score), **place, "method": method, "against": judge}

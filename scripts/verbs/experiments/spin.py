@@ -87,7 +87,7 @@ def constant(*, trials: SpinTrials = SpinTrials()) -> None:
     Writes spin-constant.experiment.html (online: spin-constant-online.experiment.html): bars per trial and rates over
     time as the paper draws them, the worst of the trials and who wins how often beside the paper's printed numbers.
     """
-    _run(CONSTANT, trials)
+    _run_experiment(CONSTANT, trials)
 
 
 def variable(*, trials: SpinTrials = SpinTrials()) -> None:
@@ -96,10 +96,11 @@ def variable(*, trials: SpinTrials = SpinTrials()) -> None:
     Writes spin-variable.experiment.html (online: spin-variable-online.experiment.html): bars per trial and rates over
     time as the paper draws them, the worst of the trials and who wins how often beside the paper's printed numbers.
     """
-    _run(VARIABLE, trials)
+    _run_experiment(VARIABLE, trials)
 
 
-def _run(scenario: Scenario, wanted: SpinTrials) -> None:
+def _run_experiment(scenario: Scenario, wanted: SpinTrials) -> None:
+    """Run an experiment under the noises or over the files that are asked for, write its page and print its table."""
     files = wanted.files
     wanted.refuse(noise=wanted.noise)
     trials = wanted if files else _fill_defaults(wanted)
@@ -148,6 +149,7 @@ def _run_trial(job: _Job) -> Trial:
 
 
 def _make_rows(trials: Sequence[Trial]) -> list[list[str]]:
+    """Return the rows of the table: the worst figures of each method."""
     rows = []
     for method in trials[0].scores:
         figures = (find_worst(trials, method, metric) for metric in METRICS)

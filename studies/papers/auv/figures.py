@@ -87,6 +87,7 @@ def get_gain(gains: Gains, which: str) -> Floats:
 
 
 def _draw_fixes(ax: Axes, series: Series, span: Span, value_deg: Floats) -> None:
+    """Draw a value in deg at the stamps of the GPS fixes within a span."""
     inside = (series.fix_s >= span[0]) & (series.fix_s <= span[1])
     style: dict[str, Any] = {"color": REST_GREY, "marker": ".", "ms": 3, "lw": 0, "zorder": 1}
     ax.plot(series.fix_s[inside], value_deg[inside], label="GPS course", **style)

@@ -54,7 +54,7 @@ COLUMNS = (
 
 
 def auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
-    """The page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
+    """Return the page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
     first = next(iter(trials.values()))
     kept = [one.series.gains[PRINTED] for some in trials.values() for one in some]
     return load_template("stillpoint.studies.papers.auv", "page.html.j2").render(
@@ -62,15 +62,15 @@ def auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) 
         colours_on_dark=ON_DARK,
         online=online,
         recorded=RECORDED in trials,
-        facts=_facts(first, online),
+        facts=_list_facts(first, online),
         kept={
             name: f"{_find_largest_change(kept, f'{name}_per_s{power}'):.1g}" for name, power in (("kp", ""), ("ki", 2))
         },
         trials=len(first),
         columns=COLUMNS,
-        rows=_rows(trials),
+        rows=_make_rows(trials),
         sections=[
-            {"sea": sea, "title": f"{_TITLES[sea]}: {one.name}", "pictures": _pictures(one)}
+            {"sea": sea, "title": f"{_TITLES[sea]}: {one.name}", "pictures": _draw_pictures(one)}
             for sea, some in trials.items()
             for one in (some if sea == RECORDED else some[:1])
         ],
@@ -83,7 +83,8 @@ def auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) 
     )
 
 
-def _facts(first: Sequence[Trial], online: bool) -> dict[str, str]:
+def _list_facts(first: Sequence[Trial], online: bool) -> dict[str, str]:
+    """Return facts about the trials by their titles, as text."""
     when, recorded = first[0].series.phases_s, first[0].sea == RECORDED
     below_s = when["ascent_s"] - when["cruise_s"]
     return {
@@ -104,7 +105,8 @@ def _find_largest_change(kept: Sequence[Any], name: str) -> float:
     return max(float(np.abs(get_gain(each, name) - get_gain(each, name)[0]).max()) for each in kept)
 
 
-def _rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
+def _make_rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
+    """Return the rows of the table: the printed figures, then each method in each sea."""
     rows: list[dict[str, Any]] = []
     for place, (name, printed) in enumerate(PRINTED_FIGURES.items()):
         cells = [f"{printed[c.key]:.2g}" if c.key in printed else "–" for c in COLUMNS]
@@ -130,7 +132,8 @@ def _rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _pictures(one: Trial) -> list[Picture]:
+def _draw_pictures(one: Trial) -> list[Picture]:
+    """Return the pictures of a trial, in the order of the paper's figures."""
     series, sea = one.series, one.sea
     when = series.phases_s
     whole = (float(series.t_s[0]), float(series.t_s[-1]))

@@ -123,7 +123,7 @@ def run_trial(sea: SeaKind, seed: int, online: bool = False, methods: Sequence[M
     recording = simulate(_SIMULATION[sea], seed=seed)
     assert recording.truth is not None
     phases_s = json.loads(recording.info.extra["phases_s"])
-    return _score(recording, recording.truth, sea, CASPIAN.start_ns, phases_s, online, methods)
+    return _score_methods(recording, recording.truth, sea, CASPIAN.start_ns, phases_s, online, methods)
 
 
 def score_recording(recording: Recording, online: bool = False, methods: Sequence[Method] = METHODS) -> Trial:
@@ -144,10 +144,10 @@ def score_recording(recording: Recording, online: bool = False, methods: Sequenc
     end_s = float(t_ns[-1] - t_ns[0]) / 1e9
     phases_s = {"dive_s": down_s, "cruise_s": down_s, "ascent_s": up_s, "surfaced_s": up_s, "end_s": end_s}
     judge: Truth | Reference = recording.truth or attitude_reference(replace(recording, truth=None))
-    return _score(replace(recording, truth=None), judge, RECORDED, int(t_ns[0]), phases_s, online, methods)
+    return _score_methods(replace(recording, truth=None), judge, RECORDED, int(t_ns[0]), phases_s, online, methods)
 
 
-def _score(
+def _score_methods(
     recording: Recording,
     judge: Truth | Reference,
     sea: str,
@@ -156,6 +156,7 @@ def _score(
     online: bool,
     methods: Sequence[Method],
 ) -> Trial:
+    """Run all methods over a recording, and return their figures, settings and series."""
     precision: Precision = "single" if online else "double"
     estimated, params = {}, {}
     for method in methods:
@@ -216,9 +217,9 @@ def compute_figures(series: Series, name: str) -> Figures:
         roll_off_var_deg2=float(off[:, 0].var()),
         pitch_off_mean_deg=float(off[:, 1].mean()),
         pitch_off_var_deg2=float(off[:, 1].var()),
-        surface_roll_rmse_deg=_rms(error[surface, 0]),
-        below_roll_rmse_deg=_rms(error[below, 0]),
-        pitch_rmse_deg=_rms(error[counts, 1]),
+        surface_roll_rmse_deg=_compute_rms(error[surface, 0]),
+        below_roll_rmse_deg=_compute_rms(error[below, 0]),
+        pitch_rmse_deg=_compute_rms(error[counts, 1]),
         heading_after_deg=last,
         heading_drift_deg=last - first,
     )
@@ -227,7 +228,7 @@ def compute_figures(series: Series, name: str) -> Figures:
 def summarise_trials(trials: Sequence[Trial], method: str, figure: str) -> float:
     """Return the root mean square over the trials of means and heading errors, whose sign is chance; else the mean."""
     values = np.array([getattr(one.figures[method], figure) for one in trials])
-    return _rms(values) if figure.endswith(("_mean_deg", "_after_deg", "_drift_deg")) else float(values.mean())
+    return _compute_rms(values) if figure.endswith(("_mean_deg", "_after_deg", "_drift_deg")) else float(values.mean())
 
 
 def compute_difference_deg(angle_deg: Floats, other_deg: Floats) -> Floats:
@@ -249,6 +250,7 @@ def _make_series(
     start_ns: int,
     phases_s: Mapping[str, float],
 ) -> Series:
+    """Return what the figures draw, on the IMU's stamps; angles in deg."""
     t_ns, gps = recording.require_imu().t_ns, recording.gps
     assert gps is not None
     true_rad = np.unwrap(euler(judge.q_nb, "ned"), axis=0)
@@ -269,5 +271,5 @@ def _make_series(
     )
 
 
-def _rms(values: Floats) -> float:
+def _compute_rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

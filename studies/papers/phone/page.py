@@ -89,7 +89,7 @@ def phone_page(
     minutes: float,
     command: str,
 ) -> str:
-    """The page as text; ``trials`` by how the phone is moved, each with at least one; ``long_runs`` of ``minutes``.
+    """Return the page; ``trials`` by how the phone is moved, each with at least one; ``long_runs`` of ``minutes``.
 
     Recorded trials are those of the hand RECORDED.
     """
@@ -99,7 +99,7 @@ def phone_page(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         scenario=scenario,
-        facts=_facts(first),
+        facts=_list_facts(first),
         rows=make_method_rows(scenario, trials),
         judges=make_judge_rows(trials),
         drifts=[(hand, *(f"{x:.1f}" for x in compute_rms_drift_deg(some))) for hand, some in trials.items()],
@@ -119,7 +119,7 @@ def phone_page(
         slower=[run.ns_per_sample / long_runs[0].ns_per_sample for run in long_runs],
         minutes=minutes,
         sections=[
-            {"hand": hand, "name": one.name, "pictures": _pictures(scenario, one)}
+            {"hand": hand, "name": one.name, "pictures": _draw_pictures(scenario, one)}
             for hand, some in trials.items()
             for one in (some if hand == RECORDED else some[:1])
         ],
@@ -140,7 +140,7 @@ def make_method_rows(scenario: Scenario, trials: Mapping[str, Sequence[Trial]]) 
     ]
     for hand, some in trials.items():
         judges = [judge for judge in JUDGES if all((CF, judge) in one.scores for one in some)]
-        rows += [_row(some, hand, method, judge) for judge in judges for method in METHODS]
+        rows += [_make_row(some, hand, method, judge) for judge in judges for method in METHODS]
     return [_mark_row(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
 
 
@@ -153,11 +153,12 @@ def make_judge_rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any
             if not all((name, judge) in one.scores for one in some):
                 continue
             tilt = float(np.mean([one.common_tilt_deg[name] for one in some])) if judge == "truth" else None
-            rows.append(_row(some, hand, name, judge) | {"common_tilt_deg": tilt})
+            rows.append(_make_row(some, hand, name, judge) | {"common_tilt_deg": tilt})
     return [_mark_row(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
 
 
-def _row(trials: Sequence[Trial], hand: str, method: str, judge: str) -> dict[str, Any]:
+def _make_row(trials: Sequence[Trial], hand: str, method: str, judge: str) -> dict[str, Any]:
+    """Return a row of the table: errors about each Euler angle, total, heading and inclination."""
     return {
         "hand": hand,
         "judge": judge,
@@ -182,7 +183,8 @@ def _find_judge(trials: Sequence[Trial]) -> str:
     return "benchmark" if all((CF, "benchmark") in one.scores for one in trials) else "graph"
 
 
-def _facts(first: Sequence[Trial]) -> dict[str, str]:
+def _list_facts(first: Sequence[Trial]) -> dict[str, str]:
+    """Return facts about the trials by their titles, as text."""
     series, score = first[0].series, first[0].scores[CF, _find_judge(first)]
     pitched = max(one.scores[CF, _find_judge(first)].near_gimbal_share for one in first)
     long_min = (series.t_s[-1] - series.t_s[0]) / 60
@@ -233,10 +235,11 @@ def _quote_figures(trials: Sequence[Trial]) -> dict[str, str]:
     return {name: f"{figure:.2f}" if figure < 10 else f"{figure:.1f}" for name, figure in figures.items()}
 
 
-def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
+def _draw_pictures(scenario: Scenario, one: Trial) -> list[Picture]:
+    """Return the pictures of a trial, as the paper's figures."""
     series = one.series
     whole = (0.0, float(series.t_s[-1]))
-    drawn = [_picture(one, shown, whole) for shown in _FIGURES[scenario.name]]
+    drawn = [_draw_picture(one, shown, whole) for shown in _FIGURES[scenario.name]]
     if not series.errors:
         return drawn
     made = {name: colour for name, colour in _OF_JUDGE.items() if name in series.errors}  # one of them may be refused
@@ -250,7 +253,8 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
     return [*drawn, judges]
 
 
-def _picture(one: Trial, shown: _Shown, whole: Span) -> Picture:
+def _draw_picture(one: Trial, shown: _Shown, whole: Span) -> Picture:
+    """Return one picture of a trial over a span of time in s."""
     return make_picture(
         f"{shown.title} ({one.hand})",
         f"As the paper's figure {shown.number}: {one.name}, seconds from {LEAD_S:g} s before the first motion. "
@@ -264,6 +268,7 @@ def _picture(one: Trial, shown: _Shown, whole: Span) -> Picture:
 
 
 def _draw_gain_picture() -> Picture:
+    """Return the picture of the gains over frequency."""
     return make_picture(
         "Gain of CF and of the moving average",
         "Size of F(jω) for the printed parameters and for a slower pair, and of a mean over 7 s.",
@@ -275,6 +280,7 @@ def _draw_gain_picture() -> Picture:
 
 
 def _draw_map_picture(scenario: Scenario, hand: str, trials: Sequence[Trial]) -> Picture:
+    """Return the picture of the RMSE in deg over the two parameters of CF."""
     map_deg = np.mean([one.map_deg for one in trials], axis=0)
     printed = [value for value in scenario.printed[CF][::2] if value is not None]
     return make_picture(

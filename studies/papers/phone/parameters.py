@@ -67,6 +67,7 @@ def map_errors_deg(recording: Recording, benchmark: Reference) -> Floats:
 
 
 def _measure_errors_deg(recording: Recording, benchmark: Reference, parameters: Parameters) -> Floats:
+    """Return the RMSE (3,) in deg of roll, pitch and yaw of CF with these parameters."""
     found = estimate(recording, "cf", parameters._asdict())
     moving = moving_samples(benchmark)
     assert found.q_nb is not None

@@ -253,6 +253,7 @@ def _measure_tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
 def _make_series(
     truth: Truth | None, benchmark: Reference, references: Mapping[str, Reference], made: Mapping[str, Estimate]
 ) -> Series:
+    """Return what the figures draw: angles in deg over s from before the first motion, and errors of the judges."""
     start = _find_first_motion(benchmark)
     zero_ns = int(benchmark.t_ns[start]) - round(LEAD_S * 1e9)
     turned: dict[str, Floats] = {name: reference.q_nb for name, reference in references.items()}
@@ -269,6 +270,7 @@ def _make_series(
 
 
 def _measure_error_over_time(reference: Reference, truth: Truth, zero_ns: int) -> tuple[Floats, Floats]:
+    """Return times in s and the total error in deg of a reference against the truth."""
     c = compare(reference, truth, "none")
     error_deg = np.asarray(np.rad2deg(attitude_error(c.q_est, c.q_true).total_rad), dtype=np.float64)
     return np.asarray((c.t_ns - zero_ns) / 1e9, dtype=np.float64), error_deg

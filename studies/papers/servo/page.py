@@ -23,13 +23,13 @@ _ROWS = (
 _STRETCHES = ("rest", "low", "high")
 
 
-def _median_over(trials: Sequence[Trial], key: str) -> float:
+def _find_median(trials: Sequence[Trial], key: str) -> float:
     """Return the median over the trials of the absolute value of a figure."""
     return float(np.median([abs(getattr(one.figures, key)) for one in trials]))
 
 
 def servo_page(trials: Sequence[Trial], command: str, recorded: bool = False) -> str:
-    """The page as text; the same trials give the same bytes. Recorded ones have several judges."""
+    """Return the page as text; the same trials give the same bytes. Recorded ones have several judges."""
     first = [one for one in trials if one.judge == trials[0].judge]
     return load_template("stillpoint.studies.papers.servo", "page.html.j2").render(
         colours=COLOURS,
@@ -40,10 +40,10 @@ def servo_page(trials: Sequence[Trial], command: str, recorded: bool = False) ->
         judges=", ".join(dict.fromkeys(one.judge for one in trials)),
         minutes=f"{trials[0].series.t_s[-1] / 60:.0f}",
         printed_drift=f"{PRINTED_DRIFT_DEG:g}",
-        drift=f"{_median_over(first, 'drift_deg'):.0f}",
+        drift=f"{_find_median(first, 'drift_deg'):.0f}",
         drifts=", ".join(f"{one.figures.drift_deg:+.0f}" for one in first),
         rows=make_rows(trials),
-        pictures=_pictures(first[0]),
+        pictures=_draw_pictures(first[0]),
         first_name=first[0].name,
         command=command,
         versions=list_versions(),
@@ -59,14 +59,15 @@ def make_rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
             "angle": angle,
             "method": method,
             "colour": _COLOUR[method],
-            "cells": [f"{_median_over(some, f'{short}_{stretch}_deg'):.2g}" for stretch in _STRETCHES],
+            "cells": [f"{_find_median(some, f'{short}_{stretch}_deg'):.2g}" for stretch in _STRETCHES],
         }
         for judge, some in by_judge.items()
         for angle, method, short in _ROWS
     ]
 
 
-def _pictures(one: Trial) -> list[Picture]:
+def _draw_pictures(one: Trial) -> list[Picture]:
+    """Return the pictures of a trial, as the paper's figures."""
     series = one.series
     low, high = find_first_swing_s(series, series.low_hz), find_first_swing_s(series, series.high_hz)
     rest_s = series.rests_s[0]

@@ -169,15 +169,16 @@ def _measure_swings_hz(imu: Imu, rests_s: Floats, name: str) -> Floats:
 def _make_series(
     recording: Recording, judge: Truth | Reference, start_ns: int, rests_s: Floats, swings_hz: Floats
 ) -> Series:
+    """Return what the figures draw, on the IMU's stamps; angles in deg, rates in deg/s, forces in g."""
     imu, mag = recording.require_imu(), recording.mag
     assert mag is not None
     t_s = (imu.t_ns - start_ns) / 1e9
     true_roll_deg, true_yaw_deg = (
         np.rad2deg(wrap(np.interp(imu.t_ns, judge.t_ns, np.unwrap(np.deg2rad(angle)))))
-        for angle in _euler_deg(judge.q_nb)[[0, 2]]
+        for angle in _compute_euler_deg(judge.q_nb)[[0, 2]]
     )
     estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
-    angles = {name: _euler_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
+    angles = {name: _compute_euler_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
     # The paper integrates the rate about one axis by (13), so a bias about another axis has no effect.
     turned_rad = cumulative_trapezoid(imu.gyro_b_radps[:, 0], t_s, initial=0)
     rolls = {name: roll_deg for name, (roll_deg, _, _) in angles.items()}
@@ -197,12 +198,13 @@ def _make_series(
     )
 
 
-def _euler_deg(q_nb: Floats) -> Floats:
+def _compute_euler_deg(q_nb: Floats) -> Floats:
     """Return roll, pitch and yaw as rows (3, N)."""
     return np.asarray(np.rad2deg(euler(q_nb, "enu")).T)
 
 
 def _compute_figures(series: Series, worst_drift_deg: float) -> Figures:
+    """Return the drift of the gyro over a minute and the RMS errors at rest, in slow and in fast swings, in deg."""
     start, _ = find_first_swing_s(series, series.low_hz)
     minute = restart_at(series, GYRO, start) - series.true_roll_deg
     drift = float(minute[np.searchsorted(series.t_s, start + _MINUTE_S) - 1])
@@ -212,10 +214,10 @@ def _compute_figures(series: Series, worst_drift_deg: float) -> Figures:
         roll_off_deg = compute_difference_deg(series.roll_deg[method], series.true_roll_deg)
         for name, rate_hz in stretches.items():
             inside = select_swings(series, rate_hz)
-            rms[f"{short}_{name}_deg"] = _rms(roll_off_deg[inside])
-            rms[f"{short}_heading_{name}_deg"] = _rms(series.heading_off_deg[method][inside])
+            rms[f"{short}_{name}_deg"] = _compute_rms(roll_off_deg[inside])
+            rms[f"{short}_heading_{name}_deg"] = _compute_rms(series.heading_off_deg[method][inside])
     return Figures(drift, worst_drift_deg, **rms)
 
 
-def _rms(values: Floats) -> float:
+def _compute_rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))

@@ -16,7 +16,7 @@ _LOGARITHMIC_FROM = 30.0  # ratio of the largest to the smallest bar
 
 def draw_bars(ax: Axes, trials: Sequence[Trial], metric: str, methods: Mapping[str, int], unit: str) -> None:
     """Draw one group of bars per trial, a bar per method in its colour; logarithmic where the sizes differ much."""
-    values = np.array([[_figure(one, method, metric) for method in methods] for one in trials])
+    values = np.array([[_get_figure(one, method, metric) for method in methods] for one in trials])
     width = _GROUP / len(methods)
     low, high = np.nanmin(values), np.nanmax(values)
     logarithmic = bool(high > _LOGARITHMIC_FROM * low)
@@ -36,5 +36,5 @@ def draw_bars(ax: Axes, trials: Sequence[Trial], metric: str, methods: Mapping[s
     ax.grid(axis="x", visible=False)
 
 
-def _figure(one: Trial, method: str, metric: str) -> float:
+def _get_figure(one: Trial, method: str, metric: str) -> float:
     return float(getattr(one.scores[method], metric)) if method in one.scores else float("nan")

@@ -44,7 +44,7 @@ assert tuple(metric.key for metric in _NAMED) == METRICS
 
 
 def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
-    """The page as text; ``trials`` by noise, each with at least one trial. The same trials give the same bytes.
+    """Return the page; ``trials`` by noise, each with at least one trial. The same trials give the same bytes.
 
     Those of recordings stand under the names of their judges.
     """
@@ -55,7 +55,7 @@ def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online:
         colours_on_dark=ON_DARK,
         title=scenario.title,
         online=online,
-        facts=_facts(scenario, first, online, methods, trials),
+        facts=_list_facts(scenario, first, online, methods, trials),
         scenario=scenario.name,
         counted=_count_wins(scenario, trials, online),
         shaken=_describe_vibration(trials.get("vibration", ())),
@@ -65,21 +65,22 @@ def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online:
         of_paper=OF_PAPER,
         has_smoother=SMOOTHER in methods,
         worst=_list_worst_rows(scenario, trials, online, methods),
-        wins=_win_rows(scenario, trials, online, methods),
-        sections=[_section(noise, some, scenario, online, methods) for noise, some in trials.items()],
+        wins=_make_win_rows(scenario, trials, online, methods),
+        sections=[_make_section(noise, some, scenario, online, methods) for noise, some in trials.items()],
         command=command,
-        parameters=_parameters(trials),
+        parameters=_format_parameters(trials),
         versions=list_versions(),
     )
 
 
-def _facts(
+def _list_facts(
     scenario: Scenario,
     first: Sequence[Trial],
     online: bool,
     methods: Sequence[str],
     trials: Mapping[str, Sequence[Trial]],
 ) -> dict[str, str]:
+    """Return facts about the trials by their titles, as text."""
     seeds = [one.seed for one in first]
     if set(trials) <= set(RECORDED):
         facts = {
@@ -132,6 +133,7 @@ def _describe_vibration(trials: Sequence[Trial]) -> str:
 def _list_worst_rows(
     scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, methods: Sequence[str]
 ) -> list[dict[str, Any]]:
+    """Return the rows of the worst figures: the paper's, then each method under each noise."""
     printed = scenario.printed[online].worst
     rows: list[dict[str, Any]] = [
         {
@@ -159,9 +161,10 @@ def _list_worst_rows(
     return rows
 
 
-def _win_rows(
+def _make_win_rows(
     scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, methods: Sequence[str]
 ) -> list[dict[str, Any]]:
+    """Return the rows of how often each method is best: the paper's, then each noise."""
     printed = scenario.printed[online].wins
     rows: list[dict[str, Any]] = [
         {
@@ -180,25 +183,28 @@ def _win_rows(
     return rows
 
 
-def _section(
+def _make_section(
     noise: str, trials: Sequence[Trial], scenario: Scenario, online: bool, methods: Sequence[str]
 ) -> dict[str, Any]:
+    """Return pictures and rows of the trials under one noise."""
     numbers = scenario.printed[online].figures
-    bars = [_bars(noise, trials, metric, methods, numbers[metric.key]) for metric in _NAMED]
+    bars = [_draw_bars(noise, trials, metric, methods, numbers[metric.key]) for metric in _NAMED]
     return {
         "noise": noise,
-        "pictures": [*_rates(noise, trials[0], scenario, methods), *bars],
-        "rows": [_row(one, method) for one in trials for method in methods if method in one.scores],
+        "pictures": [*_draw_rates(noise, trials[0], scenario, methods), *bars],
+        "rows": [_make_row(one, method) for one in trials for method in methods if method in one.scores],
     }
 
 
-def _row(one: Trial, method: str) -> dict[str, Any]:
+def _make_row(one: Trial, method: str) -> dict[str, Any]:
+    """Return the row of one method in one trial."""
     s = one.scores[method]
     fits = [s.angle_nees, s.rate_nees, s.angle_coverage95, s.rate_coverage95]
     return {"seed": one.seed, "method": method, "figures": [*(getattr(s, metric) for metric in METRICS), *fits]}
 
 
-def _bars(noise: str, trials: Sequence[Trial], metric: _Metric, methods: Sequence[str], number: str) -> Picture:
+def _draw_bars(noise: str, trials: Sequence[Trial], metric: _Metric, methods: Sequence[str], number: str) -> Picture:
+    """Return the picture of one figure as bars, one group per trial."""
     return make_picture(
         f"{metric.name[0].upper()}{metric.name[1:]} ({noise})",
         f"As the paper's figure {number}: one group of bars per trial.",
@@ -209,7 +215,8 @@ def _bars(noise: str, trials: Sequence[Trial], metric: _Metric, methods: Sequenc
     )
 
 
-def _rates(noise: str, one: Trial, scenario: Scenario, methods: Sequence[str]) -> list[Picture]:
+def _draw_rates(noise: str, one: Trial, scenario: Scenario, methods: Sequence[str]) -> list[Picture]:
+    """Return the picture of the rates over time; no picture of a trial without series."""
     if one.series is None:
         return []
     series = one.series
@@ -225,7 +232,7 @@ def _rates(noise: str, one: Trial, scenario: Scenario, methods: Sequence[str]) -
     return [drawn]
 
 
-def _parameters(trials: Mapping[str, Sequence[Trial]]) -> dict[str, str]:
+def _format_parameters(trials: Mapping[str, Sequence[Trial]]) -> dict[str, str]:
     """Return the parameters of each method as text, by noise where they differ."""
     found: dict[str, dict[str, str]] = {}
     for noise, some in trials.items():

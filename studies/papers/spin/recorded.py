@@ -85,6 +85,7 @@ def _score_against(
     made: Mapping[str, Estimate | SpinReference],
     refused: Mapping[str, str],
 ) -> Trial:
+    """Return the scores of all methods against one judge; a method that is the judge is not scored."""
     compared = {method: compare_spin(thing, truth) for method, thing in made.items() if thing is not truth}
     return Trial(
         judge,

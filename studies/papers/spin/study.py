@@ -143,6 +143,7 @@ def count_in_order(trials: Sequence[Trial], metric: str, methods: Sequence[str])
 def _run_method(
     recording: Recording, method: str, scenario: Scenario, printed: bool, online: bool
 ) -> Estimate | SpinReference:
+    """Run a filter or the smoother over a recording with the settings of a scenario."""
     if method == SMOOTHER:
         found = reference(recording, params=_CALIBRATED)
         assert isinstance(found, SpinReference)

@@ -16,26 +16,26 @@ CONTRACT = ["name", "median_s", "min_s", "max_s", "runs", "per_sample_ns", "agai
 
 def test_a_ratio_says_how_many_times_faster_than_the_other_row():
     peer = Timing("peer", [4.0, 2.0, 9.0], samples=1000)
-    row = Timing("ours", [0.5, 0.25, 1.0], samples=1000, against=peer).row()
+    row = Timing("ours", [0.5, 0.25, 1.0], samples=1000, against=peer).make_row()
     assert list(row) == CONTRACT
     assert (row["median_s"], row["min_s"], row["max_s"], row["runs"]) == (0.5, 0.25, 1.0, 3)
     assert (row["per_sample_ns"], row["against"], row["ratio"]) == (500_000.0, "peer", 8.0)
     assert row["ratio_is"] == "times as fast"
-    assert [peer.row()[key] for key in ("against", "ratio", "ratio_is")] == [None] * 3
+    assert [peer.make_row()[key] for key in ("against", "ratio", "ratio_is")] == [None] * 3
 
 
 def test_a_slower_row_can_say_how_many_times_as_long_it_takes():
     hour = Timing("1 h", [2.0], samples=360_000)
-    row = Timing("4 h", [8.27], samples=1_440_000, against=hour, ratio_is="times as long").row()
+    row = Timing("4 h", [8.27], samples=1_440_000, against=hour, ratio_is="times as long").make_row()
     assert row["ratio"] == pytest.approx(4.135)
-    assert bench_module._cells(row)[3] == "4.13 times as long"
-    assert bench_module._cells({**row, "ratio": 1234.5})[3] == "1234 times as long"
+    assert bench_module._format_cells(row)[3] == "4.13 times as long"
+    assert bench_module._format_cells({**row, "ratio": 1234.5})[3] == "1234 times as long"
 
 
 def test_what_handles_no_samples_says_no_time_per_sample():
-    row = Timing("stillpoint --help", [0.2], samples=None).row()
+    row = Timing("stillpoint --help", [0.2], samples=None).make_row()
     assert row["per_sample_ns"] is None
-    assert bench_module._cells(row)[3:5] == ["", ""]
+    assert bench_module._format_cells(row)[3:5] == ["", ""]
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ def test_the_rows_set_an_estimator_beside_vqf_and_its_kind(monkeypatch):
     monkeypatch.setattr(bench_filters, "ESTIMATORS", kept)
     monkeypatch.setattr(bench_filters, "MINUTES", 1.4)
     monkeypatch.setattr(bench_filters, "STREAMED", 100)
-    rows = [row.row() for row in bench_filters.bench_filters(1)]
+    rows = [row.make_row() for row in bench_filters.bench_filters(1)]
     peers = [name for name, entry in ESTIMATORS.items() if entry.is_peer]
     named = [row["name"].split(" (")[0] for row in rows]
     assert named[: len(peers)] == peers

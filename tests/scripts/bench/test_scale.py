@@ -3,13 +3,13 @@
 import pytest
 
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.scripts.bench.scale import _run, _sum_by_process, _Used
+from stillpoint.scripts.bench.scale import _run_all, _sum_by_process, _Used
 from stillpoint.scripts.shared.flags import LOCAL
 
 
 def test_an_input_that_fails_ends_the_bench():
     with pytest.raises(StillpointError, match=r"bench scale: a defect of stillpoint: ValueError"):
-        _run(int, ["no number"], LOCAL)
+        _run_all(int, ["no number"], LOCAL)
 
 
 def test_seconds_are_summed_by_process():
