@@ -8,7 +8,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import TRUTHS, Recording, Times
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 
 _SHORTEST_GAP_NS = 1_000_000_000  # a shorter pause is bridged by the gyro; cutting there would cost more than it helps
 
@@ -75,6 +75,6 @@ def find_stretches(recording: Recording) -> Iterator[tuple[int, int]]:
     if stream is None:
         return
     t_ns: Times = stream.t_ns
-    gaps = np.flatnonzero(np.diff(t_ns) > max(longest_step_ns(t_ns), _SHORTEST_GAP_NS))
+    gaps = np.flatnonzero(np.diff(t_ns) > max(find_longest_step_ns(t_ns), _SHORTEST_GAP_NS))
     for first, last in zip(np.append(0, gaps + 1), np.append(gaps, len(t_ns) - 1), strict=True):
         yield int(t_ns[first]), int(t_ns[last])

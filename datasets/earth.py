@@ -21,7 +21,7 @@ _FIELD_HEIGHT_M = (-1000.0, 850_000.0)  # WMM technical report, section 1.2
 _BLACKOUT_UT = 2.0  # a smaller horizontal field gives no usable declination (WMM technical report, section 1.9)
 
 
-def decimal_year(date: str) -> float:
+def to_decimal_year(date: str) -> float:
     """Return an ISO date as a decimal year: 2022.5 for ``"2022-07-02T12:00"``; a date without a zone is UTC. Raises
     :class:`BadParameter`.
     """
@@ -34,13 +34,13 @@ def decimal_year(date: str) -> float:
     return when.year + (when - first) / (following - first)
 
 
-def magnetic_field_n_ut(place: Place, date: str) -> Floats:
+def compute_magnetic_field_n_ut(place: Place, date: str) -> Floats:
     """Return the field of the World Magnetic Model in East-North-Up, (3,) in uT.
 
     Raises :class:`BadParameter` for a date or place outside the models: the field is never extrapolated.
     """
     lat_deg, lon_deg, height_m = _check_place(place)
-    year = decimal_year(date)
+    year = to_decimal_year(date)
     if not FIELD_YEARS[0] <= year < FIELD_YEARS[1]:
         raise BadParameter(
             f"date {date}: the World Magnetic Models at hand hold from {FIELD_YEARS[0]:.0f} to the end of "
@@ -57,9 +57,9 @@ def magnetic_field_n_ut(place: Place, date: str) -> Floats:
 def declination_rad(place: Place, date: str) -> float:
     """Return the angle from true to magnetic north, east positive.
 
-    Raises :class:`BadParameter` as :func:`magnetic_field_n_ut` does, and near the magnetic poles.
+    Raises :class:`BadParameter` as :func:`compute_magnetic_field_n_ut` does, and near the magnetic poles.
     """
-    east, north, _ = magnetic_field_n_ut(place, date)
+    east, north, _ = compute_magnetic_field_n_ut(place, date)
     if np.hypot(east, north) < _BLACKOUT_UT:
         raise BadParameter(
             f"place {place[0]:g}, {place[1]:g}: the horizontal field is under {_BLACKOUT_UT:g} uT, close to a "
@@ -91,7 +91,7 @@ def local_field_n_ut(info: Info) -> tuple[Floats | None, str]:
     if info.place_lat_lon_alt is None or not info.date:
         return None, "the date or place is not known"
     try:
-        return magnetic_field_n_ut(info.place_lat_lon_alt, info.date), ""
+        return compute_magnetic_field_n_ut(info.place_lat_lon_alt, info.date), ""
     except BadParameter as error:
         return None, str(error)
 
@@ -118,7 +118,7 @@ def enu_m(lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike, origin: P
     return np.stack(pymap3d.geodetic2enu(lat_deg, lon_deg, height_m, lat0, lon0, height0), axis=-1).astype(np.float64)
 
 
-def geodetic(position_n_m: ArrayLike, origin: Place) -> tuple[Floats, Floats, Floats]:
+def to_geodetic(position_n_m: ArrayLike, origin: Place) -> tuple[Floats, Floats, Floats]:
     """Return latitude and longitude (deg) and height (m) of positions (N, 3) in East-North-Up of ``origin``."""
     east, north, up = np.moveaxis(np.asarray(position_n_m, dtype=np.float64), -1, 0)
     lat_deg, lon_deg, height_m = pymap3d.enu2geodetic(east, north, up, *_check_place(origin))

@@ -63,7 +63,7 @@ def choose_settings(defaults: Kind, given: Settings | Mapping[str, Any] | None, 
         try:
             defaults = _replace_one(defaults, name.split("."), value)
         except KeyError:
-            raise BadParameter(f"{owner}: no setting {name!r}; {nearest(name, names_of(defaults))}") from None
+            raise BadParameter(f"{owner}: no setting {name!r}; {nearest(name, list_names(defaults))}") from None
         except BadParameter as error:
             raise BadParameter(f"{owner}: {name.removesuffix(name.rpartition('.')[2])}{error}") from None
     return defaults
@@ -78,7 +78,7 @@ class Description(NamedTuple):
     meaning: str
 
 
-def names_of(settings: Settings) -> list[str]:
+def list_names(settings: Settings) -> list[str]:
     """Return all dotted names of a settings object, in order."""
     return [name for name, _, _ in _list_leaves(settings)]
 

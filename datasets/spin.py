@@ -1,10 +1,10 @@
 """Model what accelerometers on a spinning body measure, and derive the spin from them (Asghari et al. 2018, section
 2).
 
-The body spins about its x axis. :func:`specific_force` is eq (1). :func:`channels` turns any :class:`SpinGeometry` into
-the observations of the angular acceleration and of the squared rate about x, the paper's eqs (4), (5), (25)-(27) for
-its five accelerometers and two gyros and for its bench of two, by the best linear unbiased estimate of the terms of
-eq (1).
+The body spins about its x axis. :func:`compute_specific_force` is eq (1). :func:`channels` turns any
+:class:`SpinGeometry` into the observations of the angular acceleration and of the squared rate about x, the paper's
+eqs (4), (5), (25)-(27) for its five accelerometers and two gyros and for its bench of two, by the best linear unbiased
+estimate of the terms of eq (1).
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ SATURATED = 0.999  # of the range: a converter of 11 bits and more stops within 
 _X, _Y, _Z = np.eye(3)
 
 
-def five_accelerometers(
+def make_five_accelerometers(
     d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * STANDARD_GRAVITY_MPS2
 ) -> SpinGeometry:
     """Return the geometry with F1, F2, F3 along x, y, z at the centre, F4 radial at d1, F5 tangential at d2, and gyros
@@ -58,11 +58,11 @@ def bench(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 *
     )
 
 
-FIVE_ACCELEROMETERS = five_accelerometers()
+FIVE_ACCELEROMETERS = make_five_accelerometers()
 BENCH = bench()
 
 
-def specific_force(r_b_m: Floats, centre_b_mps2: Floats, rate_radps: Floats, accel_radps2: Floats) -> Floats:
+def compute_specific_force(r_b_m: Floats, centre_b_mps2: Floats, rate_radps: Floats, accel_radps2: Floats) -> Floats:
     """Return the specific force (..., 3) in m/s^2 at a point of the body, eq (1) in full: A + w' x r + w x (w x r).
 
     ``r_b_m`` is the point's lever arm from the centre, ``centre_b_mps2`` the specific force A there, ``rate_radps`` and

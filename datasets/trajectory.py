@@ -110,7 +110,7 @@ class Reference:
 
     def __repr__(self) -> str:
         """Return stamps, stated accuracy and returns in one line."""
-        sd_deg, heading_deg = np.rad2deg([np.median(total_sd_rad(self.cov_b_rad2)), self.heading_sd_rad])
+        sd_deg, heading_deg = np.rad2deg([np.median(compute_total_sd_rad(self.cov_b_rad2)), self.heading_sd_rad])
         words = f"{describe_times(self.t_ns)}; sd of the attitude {sd_deg:.2g} deg (median)"
         words += f", of the heading that all share {heading_deg:.2g} deg" if self.heading_sd_rad else ""
         kept = sum(one.accepted for one in self.returns)
@@ -139,7 +139,7 @@ def _has_variances(cov_b_rad2: Floats) -> bool:
     return bool((np.diagonal(cov_b_rad2, axis1=1, axis2=2) > 0).all())
 
 
-def total_sd_rad(cov_b_rad2: Floats) -> Floats:
+def compute_total_sd_rad(cov_b_rad2: Floats) -> Floats:
     """Return the standard deviation (N,) of the total attitude error with the covariances (N, 3, 3)."""
     return np.asarray(np.sqrt(np.trace(cov_b_rad2, axis1=-2, axis2=-1)), dtype=np.float64)
 

@@ -24,7 +24,7 @@ from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.blocks import split_rows, sum_blocks
 from stillpoint.scoring.clock import find_clock_offset_ns
-from stillpoint.scoring.errors import heading_offset
+from stillpoint.scoring.errors import compute_heading_offset
 from stillpoint.scoring.match import Mask, Pairs, Track, match, pair_up, require_some
 
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
@@ -101,7 +101,7 @@ def align_blocks(blocks: Iterable[tuple[Floats, Floats]], kind: AlignKind, time_
     if kind == "none":
         return Alignment(kind)
     if kind == "heading":
-        turned = sum_blocks(np.exp(1j * heading_offset(q_est, q_true)) for q_est, q_true in blocks)
+        turned = sum_blocks(np.exp(1j * compute_heading_offset(q_est, q_true)) for q_est, q_true in blocks)
         return Alignment(kind, heading_rad=float(np.angle(turned)))
     heading_rad, mounting = _fit_heading_and_mounting(blocks)
     return Alignment(kind, heading_rad, mounting.as_rotvec(), time_offset_s)

@@ -14,7 +14,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.scoring.match import Mask, Track, attitude_at, is_sparser, match
+from stillpoint.scoring.match import Mask, Track, interpolate_attitude, is_sparser, match
 
 _USUAL_RANGE_S = 0.5  # clocks of one recording differ by less; a larger offset must be clearly better
 _TURN_S = 0.1  # a turn is the rotation over this time: long against noise, under half a turn at 1800 deg/s
@@ -189,7 +189,10 @@ def _interpolate_turns(turns: _Turns, some: NDArray[np.intp], offset_s: float) -
     """Return which of the turns the dense trajectory covers at an offset, and its own turns (M, 3) there."""
     first_ns, last_ns = turns.pairs_ns[:, some] + round(offset_s * 1e9)
     found = np.flatnonzero(match(turns.dense, first_ns).found & match(turns.dense, last_ns).found)
-    q_first, q_last = attitude_at(turns.dense, first_ns[found]), attitude_at(turns.dense, last_ns[found])
+    q_first, q_last = (
+        interpolate_attitude(turns.dense, first_ns[found]),
+        interpolate_attitude(turns.dense, last_ns[found]),
+    )
     return some[found], _compute_rotation_vectors(q_first, q_last)
 
 

@@ -44,7 +44,7 @@ def compare(
     ``moving`` (N,) says which samples of the truth count; by default ``truth.moving``, or outside a reference's rests.
     Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps.
     """
-    source, judge, counted = track(estimated), track(truth), moving_samples(truth, moving)
+    source, judge, counted = track(estimated), track(truth), find_moving(truth, moving)
     if not counted.any():
         raise Unobservable(f"{name_of(truth)}: no sample of it moves, so there is nothing to score")
     pairs, alignment = pair_and_align(source, judge, counted, align)
@@ -96,7 +96,7 @@ def name_of(thing: Estimate | Reference | Truth) -> str:
     return f"reference ({thing.method})" if isinstance(thing, Reference) else thing.name
 
 
-def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask:
+def find_moving(truth: Reference | Truth, moving: Mask | None = None) -> Mask:
     """Return which samples (N,) count: the given ones, else the truth's mask, or those outside a reference's rests."""
     if moving is not None:
         if moving.shape != truth.t_ns.shape or moving.dtype != np.bool_:

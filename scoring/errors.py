@@ -31,7 +31,7 @@ def _compute_error_quaternion(q_est: Floats, q_true: Floats) -> Floats:
     return quaternion(rotation(q_est) * rotation(q_true).inv())
 
 
-def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
+def compute_attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
     """Return total, heading and inclination error, each in [0, pi]; arctangents keep errors of 1e-9 rad exact."""
     w, x, y, z = _compute_error_quaternion(q_est, q_true).T
     return AttitudeError(
@@ -41,35 +41,35 @@ def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
     )
 
 
-def heading_offset(q_est: Floats, q_true: Floats) -> Floats:
+def compute_heading_offset(q_est: Floats, q_true: Floats) -> Floats:
     """Return the signed heading error (N,) in (-pi, pi], positive when the estimate is turned counter-clockwise."""
     w, _, _, z = _compute_error_quaternion(q_est, q_true).T
     return wrap(2 * np.arctan2(z, w))
 
 
-def euler_error(q_est: Floats, q_true: Floats, frame: EulerFrame) -> Floats:
+def compute_euler_error(q_est: Floats, q_true: Floats, frame: EulerFrame) -> Floats:
     """Return estimate minus truth in roll, pitch, yaw, (N, 3), wrapped to (-pi, pi].
 
-    Near a pitch of +-90 deg roll and yaw are not defined and their errors say nothing; see :func:`near_gimbal`.
+    Near a pitch of +-90 deg roll and yaw are not defined and their errors say nothing; see :func:`find_near_gimbal`.
     """
     return wrap(euler(q_est, frame) - euler(q_true, frame))
 
 
-def near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
+def find_near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
     """Return where the true pitch lies beyond +-80 deg, (N,)."""
     return np.abs(euler(q_true, frame)[:, 1]) > _GIMBAL_RAD
 
 
-def rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:
+def compute_rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:
     """Return d (N, 3) in body axes of ``q_true = q_est * exp(d)``, the error whose covariance is ``cov_b_rad2``."""
     return np.asarray((rotation(q_est).inv() * rotation(q_true)).as_rotvec(), dtype=np.float64)
 
 
-def rotation_error_n(q_est: Floats, q_true: Floats) -> Floats:
+def compute_rotation_error_n(q_est: Floats, q_true: Floats) -> Floats:
     """Return the rotation vector e (N, 3) about east, north, up of ``q_est = exp(e) * q_true``."""
     return np.asarray((rotation(q_est) * rotation(q_true).inv()).as_rotvec(), dtype=np.float64)
 
 
-def normalised_square(d_rad: Floats, cov_rad2: Floats) -> Floats:
+def compute_normalised_square(d_rad: Floats, cov_rad2: Floats) -> Floats:
     """Return d' C^-1 d of each row, (N,): chi-square with 3 degrees of freedom when the covariance is right."""
     return np.einsum("ni,ni->n", d_rad, np.linalg.solve(cov_rad2, d_rad[..., None])[..., 0])

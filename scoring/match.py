@@ -73,7 +73,7 @@ def track(thing: Estimate | Reference | Truth) -> Track:
     cov = None if isinstance(thing, Truth) else thing.cov_b_rad2
     step_ns = float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
     span_ns = int(t_ns[0]), int(t_ns[-1])
-    return Track(label_of(thing), t_ns, attitude_of(thing), cov, find_unready(thing), step_ns, span_ns)
+    return Track(label_of(thing), t_ns, get_attitude(thing), cov, find_unready(thing), step_ns, span_ns)
 
 
 def label_of(thing: Estimate | Reference | Truth) -> str:
@@ -83,7 +83,7 @@ def label_of(thing: Estimate | Reference | Truth) -> str:
     return f"reference of {thing.name}" if isinstance(thing, Reference) else f"{thing.name} of {thing.recording}"
 
 
-def attitude_of(thing: Estimate | Reference | Truth) -> Floats:
+def get_attitude(thing: Estimate | Reference | Truth) -> Floats:
     """Return the attitudes (N, 4) of a thing; raises :class:`BadRecording` for an estimate that has only an angle."""
     if thing.q_nb is None:
         raise BadRecording(f"{label_of(thing)}: is an angle about one axis; give an estimate with an attitude")
@@ -142,23 +142,23 @@ def pair_up(estimated: Track, truth: Track, moving: Mask, offset_ns: int = 0) ->
         kept = match(estimated, at_ns).found
         at_ns = at_ns[kept]
         true_cov = None if truth.cov_b_rad2 is None else truth.cov_b_rad2[kept]
-        q_est, cov = attitude_at(estimated, at_ns), covariance_at(estimated, at_ns)
+        q_est, cov = interpolate_attitude(estimated, at_ns), interpolate_covariance(estimated, at_ns)
         return Pairs(truth.t_ns[kept], q_est, truth.q_nb[kept], cov, true_cov, moving[kept])
     at_ns = estimated.t_ns - offset_ns
     kept = match(truth, at_ns).found & ~estimated.unready
     at_ns = at_ns[kept]
     cov = None if estimated.cov_b_rad2 is None else estimated.cov_b_rad2[kept]
     left, right = _find_neighbours(truth.t_ns, at_ns)
-    q_true, true_cov = attitude_at(truth, at_ns), covariance_at(truth, at_ns)
+    q_true, true_cov = interpolate_attitude(truth, at_ns), interpolate_covariance(truth, at_ns)
     return Pairs(at_ns, estimated.q_nb[kept], q_true, cov, true_cov, moving[left] & moving[right])
 
 
-def attitude_at(source: Track, at_ns: Times) -> Floats:
+def interpolate_attitude(source: Track, at_ns: Times) -> Floats:
     """Return attitudes (M, 4) at times within the track's span, along the great circle between neighbours."""
     return slerp(source.t_ns, source.q_nb, at_ns)
 
 
-def covariance_at(source: Track, at_ns: Times) -> Floats | None:
+def interpolate_covariance(source: Track, at_ns: Times) -> Floats | None:
     """Return covariances (M, 3, 3), linear between neighbours (so positive definite); None where there are none."""
     if source.cov_b_rad2 is None:
         return None

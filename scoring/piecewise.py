@@ -18,12 +18,12 @@ from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind, Alignment, align_blocks
 from stillpoint.scoring.blocks import Store, find_quantiles, join_rows
-from stillpoint.scoring.compare import moving_samples, name_of
+from stillpoint.scoring.compare import find_moving, name_of
 from stillpoint.scoring.match import (
     Track,
-    attitude_of,
     describe_none,
     find_unready,
+    get_attitude,
     is_sparser,
     label_of,
     match,
@@ -106,8 +106,8 @@ class _Stored:
         rows = np.empty(
             len(piece.t_ns), [("t_ns", np.int64), ("q_nb", np.float64, 4), ("unready", "?"), ("moving", "?"), *cov]
         )
-        rows["t_ns"], rows["q_nb"], rows["unready"] = piece.t_ns, attitude_of(piece), find_unready(piece)
-        rows["moving"] = False if isinstance(piece, Estimate) else moving_samples(piece)
+        rows["t_ns"], rows["q_nb"], rows["unready"] = piece.t_ns, get_attitude(piece), find_unready(piece)
+        rows["moving"] = False if isinstance(piece, Estimate) else find_moving(piece)
         if has_cov:
             rows["cov_b_rad2"] = piece.cov_b_rad2  # type: ignore[union-attr]
         self.store.append(rows)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from stillpoint.datasets.recording import Floats, Truth
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 from stillpoint.datasets.trajectory import Estimate, Reference
 
 _CHI2_3_95 = float(chdtri(3, 0.05))
@@ -39,7 +39,7 @@ def score_position(estimated: Estimate | Reference, truth: Reference | Truth) ->
     use = truth.moving & np.isfinite(truth.position_n_m).all(axis=1)
     use &= (truth.t_ns >= estimated.t_ns[0]) & (truth.t_ns <= estimated.t_ns[-1])
     after = np.clip(np.searchsorted(estimated.t_ns, truth.t_ns), 1, len(estimated.t_ns) - 1)
-    use &= np.diff(estimated.t_ns)[after - 1] <= longest_step_ns(estimated.t_ns)
+    use &= np.diff(estimated.t_ns)[after - 1] <= find_longest_step_ns(estimated.t_ns)
     if not use.any():
         return None
     t_ns, after = truth.t_ns[use], after[use]

@@ -11,12 +11,18 @@ from scipy.special import chdtri
 from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame, heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Truth
-from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
+from stillpoint.datasets.trajectory import Estimate, Reference, compute_total_sd_rad
 from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
 from stillpoint.scoring.blocks import Store, find_quantiles, list_blocks, split_rows, sum_blocks
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.conversions import ABSURD_DEG, choose_rows, find_conversion
-from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
+from stillpoint.scoring.errors import (
+    compute_attitude_error,
+    compute_euler_error,
+    compute_normalised_square,
+    compute_rotation_error_b,
+    find_near_gimbal,
+)
 from stillpoint.scoring.position import PositionScore, score_position
 from stillpoint.scoring.score_table import format_score, format_score_html, make_score_frame
 from stillpoint.scoring.turns import TurnError, turn_errors
@@ -217,17 +223,17 @@ def score_blocks(
     sampled, consistency = _Sampled(count), _Consistency()
     n_gimbal, has_true_cov = 0, False
     for pairs in blocks:
-        error = attitude_error(pairs.q_est, pairs.q_true)
+        error = compute_attitude_error(pairs.q_est, pairs.q_true)
         for name in _SPLIT:
             errors_deg[name].append(np.rad2deg(getattr(error, f"{name}_rad")))
-        for name, column in zip(_EULER, euler_error(pairs.q_est, pairs.q_true, frame).T, strict=True):
+        for name, column in zip(_EULER, compute_euler_error(pairs.q_est, pairs.q_true, frame).T, strict=True):
             errors_deg[name].append(np.rad2deg(column))
-        n_gimbal += int(near_gimbal(pairs.q_true, frame).sum())
+        n_gimbal += int(find_near_gimbal(pairs.q_true, frame).sum())
         sampled.add(pairs)
         consistency.add(pairs)
         if pairs.true_cov_b_rad2 is not None:
             has_true_cov = True
-            true_sd_rad.append(total_sd_rad(pairs.true_cov_b_rad2))
+            true_sd_rad.append(compute_total_sd_rad(pairs.true_cov_b_rad2))
     nees, coverage = consistency.close(f"{facts['estimated']} of {facts['recording']}")
     parts = {name: ErrorStats.of_blocks(store, count) for name, store in errors_deg.items()}
     return Score(
@@ -271,7 +277,7 @@ class _Sampled:
 
         def rmse_after(q_est: Floats, q_true: Floats) -> float:
             again = align_pairs(q_est, q_true, alignment.kind).attitude(q_est)
-            return float(np.rad2deg(np.sqrt(np.mean(attitude_error(again, q_true).total_rad ** 2))))
+            return float(np.rad2deg(np.sqrt(np.mean(compute_attitude_error(again, q_true).total_rad ** 2))))
 
         return find_conversion(quaternion(raw), q_true, rmse_after)
 
@@ -290,7 +296,7 @@ class _Consistency:
         self._count += len(pairs.q_est)
         self._bad += int((np.linalg.eigvalsh(pairs.cov_b_rad2)[:, 0] <= 0).sum())
         if not self._bad:
-            square = normalised_square(rotation_error_b(pairs.q_est, pairs.q_true), pairs.cov_b_rad2)
+            square = compute_normalised_square(compute_rotation_error_b(pairs.q_est, pairs.q_true), pairs.cov_b_rad2)
             self._sum += float(square.sum())
             self._inside += int((square <= CHI2_3_95).sum())
 

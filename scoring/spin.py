@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Times
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 
 AngleZero = Literal["start", "mean", "turns", "none"]
@@ -89,7 +89,7 @@ def score_roll(
     """Score angle and rate of an estimate or a roll reference against a truth, an encoder or a roll reference.
 
     ``zero``: the angle counts from the first common sample ("start", as in Asghari et al. 2018), is free of a
-    mean error ("mean"), or is absolute, but for whole turns ("turns") or altogether ("none"); :func:`usual_zero` says
+    mean error ("mean"), or is absolute, but for whole turns ("turns") or altogether ("none"); :func:`choose_zero` says
     which is usual. ``against`` names the truth; "" takes a reference's method, else "truth".
     Raises :class:`BadParameter`, :class:`BadRecording` for an estimate without angle and rate, and
     :class:`Unobservable` when no sample can be scored.
@@ -110,7 +110,7 @@ def compare_spin(
     outside = (t < truth.t_ns[0]) | (t > truth.t_ns[-1])
     left = np.clip(np.searchsorted(truth.t_ns, t, side="right") - 1, 0, len(truth.t_ns) - 1)
     right = np.clip(np.searchsorted(truth.t_ns, t, side="left"), 0, len(truth.t_ns) - 1)
-    in_gap = ~outside & (truth.t_ns[right] - truth.t_ns[left] > longest_step_ns(truth.t_ns))
+    in_gap = ~outside & (truth.t_ns[right] - truth.t_ns[left] > find_longest_step_ns(truth.t_ns))
     known = ~(outside | in_gap)
     ready = estimated.ready if isinstance(estimated, Estimate) and estimated.ready is not None else known | True
     kept = known & ready
@@ -143,7 +143,7 @@ def compare_spin(
     )
 
 
-def usual_zero(estimated: Estimate | SpinReference, truth: Encoder | SpinReference, against: str = "") -> AngleZero:
+def choose_zero(estimated: Estimate | SpinReference, truth: Encoder | SpinReference, against: str = "") -> AngleZero:
     """Return what is subtracted from the angle by default.
 
     A reference that has its angle from gravity is absolute, and only whole turns are subtracted; otherwise the error of

@@ -11,7 +11,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.scoring.compare import Comparison
-from stillpoint.scoring.errors import attitude_error
+from stillpoint.scoring.errors import compute_attitude_error
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def _compute_turn_error(comparison: Comparison, seconds: float) -> TurnError:
         rotation(q[comparison.moving][start]).inv() * rotation(q[comparison.moving][end[start]])
         for q in (comparison.q_est, comparison.q_true)
     ]
-    error_deg = np.rad2deg(attitude_error(quaternion(turned[0]), quaternion(turned[1])).total_rad)
+    error_deg = np.rad2deg(compute_attitude_error(quaternion(turned[0]), quaternion(turned[1])).total_rad)
     return TurnError(
         over_s=seconds,
         turns=len(start),

@@ -23,8 +23,8 @@ from stillpoint.smoother import METHODS
 from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.cells import Cell, Line, list_lines, make_estimates, plan_cells, score_cells
-from stillpoint.studies.leaderboard.entrants import default_estimators, find_entrants
-from stillpoint.studies.leaderboard.files import without_trajectories
+from stillpoint.studies.leaderboard.entrants import find_entrants, list_default_estimators
+from stillpoint.studies.leaderboard.files import drop_trajectories
 from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec, judge_by_truth
 from stillpoint.studies.leaderboard.ranking import ScoredRuns
 from stillpoint.studies.leaderboard.references import KeptReference, find_references
@@ -85,7 +85,7 @@ class Fidelity:
 
 def _list_default_judges() -> list[str]:
     """Return every reference method, and every offline estimator whose package is installed."""
-    return [*METHODS, *(name for name in default_estimators() if ESTIMATORS[name].offline)]
+    return [*METHODS, *(name for name in list_default_estimators() if ESTIMATORS[name].offline)]
 
 
 def measure_fidelity(
@@ -104,12 +104,12 @@ def measure_fidelity(
     """
     folder = Path(out)
     store = ResultStore(folder / RESULTS)
-    files = without_trajectories([Path(file) for file in recordings])
+    files = drop_trajectories([Path(file) for file in recordings])
     sources = [source for source in survey_sources(files, store) if source.truth and source.error is None]
     if not sources:
         raise BadParameter("no recording has independent truth; fidelity compares with it")
     names = list(dict.fromkeys(judges or _list_default_judges()))
-    entrants = find_entrants(list(dict.fromkeys([*(estimators or default_estimators())])), [])
+    entrants = find_entrants(list(dict.fromkeys([*(estimators or list_default_estimators())])), [])
     offline = [name for name in names if name not in METHODS]
     lines = list_lines(find_entrants(list(dict.fromkeys([*(e.spelling for e in entrants), *offline])), []), [NONE])
     cells = make_estimates(list(plan_cells(sources, lines, {}, store)), store, run_jobs)

@@ -14,13 +14,13 @@ import numpy as np
 
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.mcap.file import write_file
-from stillpoint.datasets.mcap.store import contents_of
+from stillpoint.datasets.mcap.store import make_contents
 from stillpoint.datasets.mcap.topics import VECTOR
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
 from stillpoint.datasets.recording import Recording, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.scoring import compare
-from stillpoint.scoring.errors import attitude_error
+from stillpoint.scoring.errors import compute_attitude_error
 
 _LAYOUT_SUFFIX = ".foxglove.json"
 
@@ -33,15 +33,15 @@ def write_one_file(
     Errors are against the truth of the recording, or else against the reference, with the heading aligned. Raises
     :class:`~stillpoint.datasets.errors.BadFile` when a file cannot be written.
     """
-    streams, record = contents_of(recording)
+    streams, record = make_contents(recording)
     records = {"stillpoint": record}
     if reference is not None:
-        more, record = contents_of(reference)
+        more, record = make_contents(reference)
         streams += [replace(stream, group="reference") for stream in more]
         records["stillpoint reference"] = record
     reasons: dict[str, str] = {}
     for estimate in estimates:
-        more, record = contents_of(estimate)
+        more, record = make_contents(estimate)
         streams += [_name_by_estimator(stream, estimate.name) for stream in more]
         records[f"stillpoint estimate {estimate.name}"] = record
         judge = recording.truth or (reference if isinstance(reference, Reference) else None)
@@ -66,7 +66,7 @@ def _name_by_estimator(stream: Stream, name: str) -> Stream:
 def _make_error_stream(estimate: Estimate, judge: Truth | Reference) -> Stream:
     """Return the errors of an estimate at the stamps of its judge, in degrees."""
     compared = compare(estimate, judge)
-    found = attitude_error(compared.q_est, compared.q_true)
+    found = compute_attitude_error(compared.q_est, compared.q_true)
     angles = {"vector.x": found.total_rad, "vector.y": found.heading_rad, "vector.z": found.inclination_rad}
     holds = f"x: total, y: heading, z: inclination error in degrees, against the {compared.against}, heading aligned"
     columns = {leaf: np.rad2deg(values) for leaf, values in angles.items()}

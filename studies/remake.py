@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.archive import Archive, Entry
-from stillpoint.datasets.calibration.apply import apply_calibration, calibration_of, load_calibration
+from stillpoint.datasets.calibration.apply import apply_calibration, get_calibration, load_calibration
 from stillpoint.datasets.calibration.device import SUFFIX as DEVICE_SUFFIX
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import rotation
@@ -98,7 +98,7 @@ def remake(job: RemakeJob) -> Remade:
         made = reference(recording, kept.method, flatten(kept.params), known)
     else:
         raise BadParameter(f"{job.file_name}: is neither a reference nor an estimate; name one")
-    return Remade(largest_difference_rad(kept, made), job.version)
+    return Remade(compute_largest_difference_rad(kept, made), job.version)
 
 
 def _remake_estimate(kept: Estimate, recording: Recording, job: RemakeJob) -> Estimate:
@@ -108,7 +108,7 @@ def _remake_estimate(kept: Estimate, recording: Recording, job: RemakeJob) -> Es
         recording = apply_calibration(recording, load_calibration(job.calibration), digest)
     elif "calibrated_by" in kept.diagnostics:  # `estimate --calibration reference` made one and did not write it
         found = replace(attitude_reference(recording), made_from={job.recording.name: digest})
-        recording = apply_calibration(recording, calibration_of(found), digest)
+        recording = apply_calibration(recording, get_calibration(found), digest)
     asked: Mapping[str, Any] = kept.diagnostics.get("asked", {})
     return estimate(
         recording,
@@ -132,7 +132,7 @@ def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def largest_difference_rad(kept: Made, made: Made) -> float:
+def compute_largest_difference_rad(kept: Made, made: Made) -> float:
     """Return the largest angle between two trajectories, in rad; infinite where their kinds or times differ."""
     if type(kept) is not type(made) or not np.array_equal(kept.t_ns, made.t_ns):
         return float("inf")

@@ -18,7 +18,7 @@ import numpy as np
 from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.cut import cut_recording
 from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable, require_known
-from stillpoint.datasets.files.result_store import ResultStore, product_version
+from stillpoint.datasets.files.result_store import ResultStore, get_product_version
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording, Truth
 from stillpoint.datasets.settings import choose_settings
@@ -26,13 +26,13 @@ from stillpoint.datasets.trajectory import Reference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ATTITUDES, ESTIMATORS
 from stillpoint.scoring import AlignKind, compare
-from stillpoint.scoring.errors import attitude_error
+from stillpoint.scoring.errors import compute_attitude_error
 from stillpoint.scoring.match import Mask
 from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import RankedBy, Source
 from stillpoint.studies.leaderboard.cells import find_calibration
 from stillpoint.studies.leaderboard.estimates import LEFT_OUT
-from stillpoint.studies.leaderboard.files import without_trajectories
+from stillpoint.studies.leaderboard.files import drop_trajectories
 from stillpoint.studies.leaderboard.judges import find_judge, load_judge, needs_reference
 from stillpoint.studies.leaderboard.references import References, find_references
 from stillpoint.studies.leaderboard.series import RESULTS
@@ -102,7 +102,7 @@ class _TuneSpec:
     def study_name(self) -> str:
         """The name under which trials are kept: another input, range or product has another name."""
         deciding = [
-            product_version(),
+            get_product_version(),
             self.estimator,
             [asdict(each) for each in self.ranges],
             [source.sha256 for source in self.sources],
@@ -176,7 +176,7 @@ def tune(
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     store = ResultStore(folder / RESULTS)
-    sources = survey_sources(without_trajectories([Path(file) for file in recordings]), store)
+    sources = survey_sources(drop_trajectories([Path(file) for file in recordings]), store)
     needed = [source for source in sources if needs_reference(source, against, (calibration,))]
     references = find_references(needed, folder, store, run_jobs)
     judged = tuple(s for s in sources if not isinstance(find_judge(s, against, False, references), str))
@@ -264,7 +264,7 @@ class _Bench:
             except StillpointError:
                 rmse.append(float("inf"))
                 continue
-            error = attitude_error(compared.q_est[compared.moving], compared.q_true[compared.moving])
+            error = compute_attitude_error(compared.q_est[compared.moving], compared.q_true[compared.moving])
             column = np.rad2deg(getattr(error, f"{self.figure}_rad"))
             rmse.append(float(np.sqrt(np.mean(column**2))))
         return rmse
@@ -300,7 +300,7 @@ def _summarise(spec: _TuneSpec) -> Tuning:
             "against": spec.against,
             "calibration": spec.calibration,
             "seconds": spec.seconds,
-            "stillpoint": product_version(),
+            "stillpoint": get_product_version(),
         },
     )
 
@@ -319,7 +319,7 @@ def find_left_out(rmse_deg: Floats, row_of: Sequence[int]) -> list[float]:
     return left
 
 
-def tuning_toml(tuning: Tuning) -> str:
+def format_tuning(tuning: Tuning) -> str:
     """Return the common setting as TOML, for ``-e ESTIMATOR@FILE.toml``, with how it was found."""
     rest = "nan" if np.isnan(tuning.left_out_deg).any() else f"{np.mean(tuning.left_out_deg):.4g}"
     lines = [

@@ -61,7 +61,7 @@ class ValidationRow:
     error: str | None = None  # why there are no figures
 
 
-def default_methods() -> list[str]:
+def list_default_methods() -> list[str]:
     """Return every reference method and every offline peer."""
     return [*METHODS, *(name for name, entry in ESTIMATORS.items() if entry.offline)]
 
@@ -119,7 +119,7 @@ def _validate_row(recording: Recording, truth: Truth, row: ValidationRow, align:
     )
 
 
-def summary(rows: Sequence[ValidationRow]) -> list[dict[str, object]]:
+def summarise_methods(rows: Sequence[ValidationRow]) -> list[dict[str, object]]:
     """Return mean, median and worst of each figure per method, over the recordings that it did not refuse.
 
     The worst coverage is the smallest, the worst of all others the largest.

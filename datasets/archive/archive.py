@@ -34,15 +34,15 @@ from stillpoint.datasets.archive.locks import hold_lock
 from stillpoint.datasets.archive.query import parse_query
 from stillpoint.datasets.archive.record import (
     Record,
+    choose_suffix,
+    extract_sha256,
     now,
     record_from_bytes,
     record_key,
-    sha256_of_key,
-    suffix_of,
 )
-from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
+from stillpoint.datasets.archive.storage import FolderStorage, Storage, open_storage, read_key
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
-from stillpoint.datasets.files.remote import open_binary, url_of
+from stillpoint.datasets.files.remote import get_url, open_binary
 
 MARK = "stillpoint-archive.txt"
 _MARK_TEXT = """This folder is an archive of stillpoint, format 1.
@@ -126,7 +126,7 @@ class Archive:
         descriptions[sha256] = described
         if known is None:
             name, added = given.file_name, given.added or now()
-            record = Record(sha256, suffix_of(name), name, size, added, tuple(given.tags), dict(given.metadata))
+            record = Record(sha256, choose_suffix(name), name, size, added, tuple(given.tags), dict(given.metadata))
         else:
             record = replace(known, removed="", reason="", freed="")
         record = replace(record, described=digest_rows(make_content_rows(record, described)))
@@ -339,9 +339,9 @@ class Archive:
             records = []
             for key, _ in self.storage.keys("records"):
                 try:
-                    records.append(self.read_record(sha256_of_key(key)))
+                    records.append(self.read_record(extract_sha256(key)))
                 except BadFile as error:
-                    remembered = self.read_catalogued_record(sha256_of_key(key))
+                    remembered = self.read_catalogued_record(extract_sha256(key))
                     problems.append(f"{error}{'' if remembered is None else '; the catalogue remembers it'}")
                     records += [] if remembered is None else [remembered]
             self.catalogue.close()
@@ -416,7 +416,7 @@ class Archive:
 
 def create_archive(place: str | Path) -> Archive:
     """Make an archive in a new or empty folder, or below a URL. Raises :class:`BadParameter` otherwise."""
-    storage = storage_at(place)
+    storage = open_storage(place)
     home = _find_home(storage)
     if storage.has(MARK):
         raise BadParameter(f"{storage.name}: is already an archive; use it, or name another folder")
@@ -445,7 +445,7 @@ def _is_free(folder: Path) -> bool:
 
 def open_archive(place: str | Path) -> Archive:
     """Open an archive; what killed processes left is completed or deleted first. Raises :class:`BadParameter`."""
-    storage = storage_at(place)
+    storage = open_storage(place)
     if not storage.has(MARK):
         raise BadParameter(f"{storage.name}: is no archive; make one: stillpoint archive init {storage.name}")
     home = _find_home(storage)
@@ -474,4 +474,4 @@ def _find_home(storage: Storage) -> Path:
     if isinstance(storage, FolderStorage):
         return storage.root
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "stillpoint" / "archives" / hashlib.sha256(url_of(storage.name).encode()).hexdigest()[:16]
+    return base / "stillpoint" / "archives" / hashlib.sha256(get_url(storage.name).encode()).hexdigest()[:16]

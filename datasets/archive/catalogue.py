@@ -257,7 +257,7 @@ def _forget_object(connection: sqlite3.Connection, sha256: str) -> None:
         connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (sha256,))
 
 
-def facts_in(text: str) -> dict[str, Any]:
+def read_facts(text: str) -> dict[str, Any]:
     """Return the facts in a row of the catalogue."""
     facts: dict[str, Any] = json.loads(text)
     return facts

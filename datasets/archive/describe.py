@@ -17,7 +17,7 @@ from stillpoint.datasets.mcap.store import RECORD
 from stillpoint.datasets.mcap.topics import TOPICS
 from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.times import find_gaps
-from stillpoint.datasets.trajectory import total_sd_rad
+from stillpoint.datasets.trajectory import compute_total_sd_rad
 
 _LARGEST_JSON = 64 << 20  # bytes: score tables take kilobytes; a larger JSON file is kept as a source
 _SPREAD_TOPIC = {"reference": "/reference/attitude", "roll reference": "/reference/roll_sd"}
@@ -134,7 +134,7 @@ def _make_trajectory_columns(kind: str, facts: Mapping[str, Any], log: Log) -> d
     topic = log.topics.get(_SPREAD_TOPIC[kind])
     if topic is not None and len(topic.t_ns):
         if kind == "reference":
-            sd_rad = total_sd_rad(topic.column("cov_b_rad2").reshape(-1, 3, 3))
+            sd_rad = compute_total_sd_rad(topic.column("cov_b_rad2").reshape(-1, 3, 3))
             columns |= {"rests": len(facts["rests_ns"]), "heading_sd_deg": float(np.rad2deg(facts["heading_sd_rad"]))}
         else:
             sd_rad = topic.column("angle_sd_rad")

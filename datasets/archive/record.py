@@ -49,7 +49,7 @@ def record_key(sha256: str) -> str:
     return f"records/{sha256[:2]}/{sha256[2:]}.json"
 
 
-def sha256_of_key(key: str) -> str:
+def extract_sha256(key: str) -> str:
     """Return the hash that the place of an object or a record stands for; "" when the place has another form."""
     parts = key.split("/")
     if len(parts) != 3:
@@ -58,7 +58,7 @@ def sha256_of_key(key: str) -> str:
     return sha256 if SHA256.fullmatch(sha256) else ""
 
 
-def suffix_of(file_name: str) -> str:
+def choose_suffix(file_name: str) -> str:
     """Return the suffix under which an object with this name is kept; ".bin" when the name has no plain one."""
     suffix = "." + file_name.rpartition(".")[2].lower() if "." in file_name.strip(".") else ""
     return suffix if _SUFFIX.fullmatch(suffix) else ".bin"

@@ -7,7 +7,7 @@ from pathlib import Path
 from stillpoint.datasets.archive.archive import Archive
 from stillpoint.datasets.archive.incoming import Given, Incoming, Wanted
 from stillpoint.datasets.archive.record import Record, record_from_bytes, record_key
-from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
+from stillpoint.datasets.archive.storage import FolderStorage, Storage, open_storage, read_key
 from stillpoint.datasets.archive.verify import Fault
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 from stillpoint.datasets.files.remote import hash_file, open_binary
@@ -18,7 +18,7 @@ class Copies:
 
     def __init__(self, place: str | Path) -> None:
         """Open the place of copies; raises :class:`BadParameter` where there is no such folder."""
-        self.storage: Storage = storage_at(place)
+        self.storage: Storage = open_storage(place)
         if isinstance(self.storage, FolderStorage) and not self.storage.root.is_dir():
             raise BadParameter(f"--from {place}: there is no such folder; name another archive or a folder of files")
         self._by_size: dict[int, list[Path]] | None = None

@@ -70,7 +70,7 @@ def select_items(archive: Archive, query: str, allow_unlicensed: bool = False, a
     damaged = [entry.file_name for entry in entries if entry.problem]
     if damaged:
         raise BadParameter(f"{', '.join(damaged[:5])}: damaged; run stillpoint archive verify")
-    licences = {entry.sha256: _licences_of(archive, entry) for entry in entries}
+    licences = {entry.sha256: _list_licences(archive, entry) for entry in entries}
     bare = [entry.file_name for entry in entries if not licences[entry.sha256]]
     if bare and not allow_unlicensed:
         more = f" and {len(bare) - 5} more" if len(bare) > 5 else ""
@@ -92,7 +92,7 @@ def select_items(archive: Archive, query: str, allow_unlicensed: bool = False, a
     ]
 
 
-def _licences_of(archive: Archive, entry: Entry) -> tuple[str, ...]:
+def _list_licences(archive: Archive, entry: Entry) -> tuple[str, ...]:
     """Return the licences that hold for an object, sorted.
 
     They are, in this order: its metadata ``licence``, what the file says, those of everything that it was made from;

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol
 
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.files.remote import is_url, open_binary, open_url, url_of
+from stillpoint.datasets.files.remote import get_url, is_url, open_binary, open_url
 
 
 class Storage(Protocol):
@@ -149,9 +149,9 @@ class _RemoteStorage:
             self._fs.rm_file(f"{self._root}/{key}")
 
 
-def storage_at(place: str | Path) -> Storage:
+def open_storage(place: str | Path) -> Storage:
     """Return the storage at a folder or at a URL."""
-    return _RemoteStorage(url_of(place)) if is_url(place) else FolderStorage(Path(place))
+    return _RemoteStorage(get_url(place)) if is_url(place) else FolderStorage(Path(place))
 
 
 def read_key(storage: Storage, key: str) -> bytes:

@@ -11,7 +11,7 @@ from typing import Any
 from stillpoint.datasets.archive.archive import MARK, Archive
 from stillpoint.datasets.archive.catalogue import DESCRIBED_TABLES, TABLES, digest_rows, make_content_rows
 from stillpoint.datasets.archive.describe import Description, describe_object
-from stillpoint.datasets.archive.record import Record, record_key, sha256_of_key
+from stillpoint.datasets.archive.record import Record, extract_sha256, record_key
 from stillpoint.datasets.archive.storage import FolderStorage
 from stillpoint.datasets.errors import BadFile
 
@@ -91,7 +91,7 @@ def _read_records(archive: Archive, faults: list[Fault]) -> Iterator[tuple[str, 
     if not archive.storage.has(MARK):
         faults.append(Fault("record", "", MARK, "is missing", f"write any text to {MARK}"))
     for key, _ in archive.storage.keys("records"):
-        sha256, where = sha256_of_key(key), f"{archive.storage.name}/{key}"
+        sha256, where = extract_sha256(key), f"{archive.storage.name}/{key}"
         if not sha256 or key != record_key(sha256):
             faults.append(Fault("record", "", where, "is no record of this archive", "move it away"))
             continue
@@ -110,7 +110,7 @@ def _list_objects(archive: Archive, records: Mapping[str, Record], faults: list[
     """Hash and size of each object that has a record; others are faults."""
     damaged = {fault.sha256 for fault in faults}
     for key, size in archive.storage.keys("objects"):
-        sha256, where = sha256_of_key(key), f"{archive.storage.name}/{key}"
+        sha256, where = extract_sha256(key), f"{archive.storage.name}/{key}"
         record = records.get(sha256)
         if record is None and sha256 in damaged:
             continue

@@ -47,7 +47,7 @@ def find_allan_deviation(t_ns: Times, values: Floats) -> AllanDeviation:
     step = float(np.median(step_s))
     if np.mean(np.abs(step_s - step) > _EVEN_SHARE * step) > 0.05 or step_s.max() > 5 * step:
         raise Unobservable("the stamps of the rest are not even; an Allan deviation needs an even clock without gaps")
-    tau_s, deviation = overlapping_deviation(values, length_s / (len(t_ns) - 1))
+    tau_s, deviation = compute_overlapping_deviation(values, length_s / (len(t_ns) - 1))
     lowest = deviation.argmin(axis=0)
     return AllanDeviation(
         tau_s=tau_s,
@@ -60,7 +60,7 @@ def find_allan_deviation(t_ns: Times, values: Floats) -> AllanDeviation:
     )
 
 
-def overlapping_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
+def compute_overlapping_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
     """Return cluster times (T,) in s and overlapping Allan deviations (T, k) of samples (N, k) every ``step_s``."""
     n = len(values)
     most = max(1, n // _FEWEST_CLUSTERS)

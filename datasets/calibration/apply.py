@@ -27,7 +27,7 @@ class SensorCalibration:
     made_from: Mapping[str, str] = field(default_factory=dict)  # file name -> sha256 of what it was found on
 
 
-def calibration_of(reference: Reference) -> SensorCalibration:
+def get_calibration(reference: Reference) -> SensorCalibration:
     """Return the calibration that a reference found, with the gyro bias at its first sample.
 
     Raises :class:`BadParameter` where the method of the reference finds no calibration.
@@ -54,7 +54,7 @@ def load_calibration(path: Path) -> SensorCalibration:
     if path.name.endswith((".toml", _DEVICE_MCAP)):
         device = read_device(path)
         return SensorCalibration(device.calibration, None, path.name, sha256(path), device.made_from)
-    return replace(calibration_of(read_reference(path)), name=path.name, sha256=sha256(path))
+    return replace(get_calibration(read_reference(path)), name=path.name, sha256=sha256(path))
 
 
 def apply_calibration(recording: Recording, known: SensorCalibration, recording_sha256: str = "") -> Recording:

@@ -5,7 +5,7 @@ import numpy as np
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 
 _GAP_S = 0.05  # a shorter step is never a gap
 _BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
@@ -52,7 +52,7 @@ def _check_stream(name: str, t_ns: Times) -> list[Finding]:
     median = float(np.median(steps_s))
     mean = float(np.mean(steps_s[steps_s < LONGEST_BURST_S])) if (steps_s < LONGEST_BURST_S).any() else median
     bursts = name in _SAMPLED and median < _BURST_SHARE * mean
-    limit = LONGEST_BURST_S if bursts else max(longest_step_ns(t_ns) / 1e9, _GAP_S)
+    limit = LONGEST_BURST_S if bursts else max(find_longest_step_ns(t_ns) / 1e9, _GAP_S)
     gaps = steps_s > limit
     findings = [_report_rate(name, t_ns, mean if bursts else median), *_check_unit(name, mean if bursts else median)]
     if gaps.any():

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.lag import REACH_S, find_lag
-from stillpoint.datasets.doctor.truth import FEWEST, mean_per_bin, truth_rates
-from stillpoint.datasets.doctor.turning import gyro_series, stands_out, vector_series
-from stillpoint.datasets.doctor.witness import CANDIDATES, MIN_ADVANTAGE, MIN_GAIN, excess_over_best, index_of
+from stillpoint.datasets.doctor.truth import FEWEST, average_bins, compute_truth_rates
+from stillpoint.datasets.doctor.turning import find_large_sizes, make_gyro_series, make_vector_series
+from stillpoint.datasets.doctor.witness import CANDIDATES, MIN_ADVANTAGE, MIN_GAIN, compute_excess, find_index
 from stillpoint.datasets.frames import from_xyzw, local_from_enu, quaternion, rotation, to_xyzw
 from stillpoint.datasets.recording import Floats, Imu, Truth
 
@@ -190,8 +190,8 @@ class TruthFits:
     def __init__(self, imu: Imu, truth: Truth) -> None:
         """Fit the turning of the truth, in each reading of its columns, to the gyro's."""
         self.origin_ns = int(imu.t_ns[0])
-        self.gyro = gyro_series(imu, self.origin_ns)
-        self.force = vector_series(imu.t_ns, imu.accel_b_mps2, self.origin_ns)
+        self.gyro = make_gyro_series(imu, self.origin_ns)
+        self.force = make_vector_series(imu.t_ns, imu.accel_b_mps2, self.origin_ns)
         self.lag_s = self._find_lag(truth)
         self.rates = [self._fit_rates(truth, reading) for reading in _READINGS]  # (losses (2, n), rotations (2, 3, 3))
         self.informative = self._is_informative()
@@ -201,7 +201,7 @@ class TruthFits:
 
     def _find_spans(self, truth: Truth) -> tuple[Floats, Floats, Floats]:
         """Return start (n,), end (n,) in s and rate (n, 3) of the truth's steps that the gyro covers without a gap."""
-        start, end, rate = truth_rates(truth, self.origin_ns)
+        start, end, rate = compute_truth_rates(truth, self.origin_ns)
         inside = (start - REACH_S > self.gyro.t_s[0]) & (end + REACH_S < self.gyro.t_s[-1])
         inside &= ~self.gyro.touches_gap(start - REACH_S, end + REACH_S)
         return start[inside], end[inside], rate[inside]
@@ -231,7 +231,7 @@ class TruthFits:
         if len(start) < FEWEST:
             return np.zeros((2, 0)), np.zeros((2, 3, 3)), np.zeros(0)
         measured = self.gyro.smooth_between(start + self.lag_s, end + self.lag_s) / (end - start)[:, None]
-        moving = stands_out(np.linalg.norm(rate, axis=1))
+        moving = find_large_sizes(np.linalg.norm(rate, axis=1))
         measured, rate = measured[moving], rate[moving]
         turned, target = measured - np.median(measured, axis=0), rate - np.median(rate, axis=0)
         floor = 0.05**2 * float((target**2).sum(axis=1).mean()) + 1e-300
@@ -261,7 +261,7 @@ class TruthFits:
                 return 0.0, 0.0, 0.0
             measured = self.gyro.smooth_between(start + self.lag_s, end + self.lag_s) / (end - start)[:, None]
             bins = np.floor(start / _SLOW_WINDOW_S).astype(np.int64)
-            target, turned = (mean_per_bin(bins, one - np.median(one, axis=0)) for one in (rate, measured))
+            target, turned = (average_bins(bins, one - np.median(one, axis=0)) for one in (rate, measured))
             u, singular, vt = np.linalg.svd(target.T @ turned)
             common = singular[0] + singular[1] + np.sign(np.linalg.det(u @ vt)) * singular[2]
             shares.append(float(common**2 / (np.sum(target**2) * np.sum(turned**2) + 1e-300)))
@@ -281,7 +281,7 @@ class TruthFits:
         if len({len(row) for row in rows}) > 1:  # cannot be: the stamps are the same for all readings
             rows = [row[: min(map(len, rows))] for row in rows]
         table = np.array(rows)
-        excess = excess_over_best(table, _OVERLAP)
+        excess = compute_excess(table, _OVERLAP)
         near = table.mean(axis=1) - table.mean(axis=1).min() < MIN_ADVANTAGE
         return np.where(near, 0.0, excess).reshape(len(_READINGS), 2)
 
@@ -325,7 +325,7 @@ class TruthFits:
         if rows.shape[1] == 0 or rows.mean(axis=1).min() > np.log(_FORCE_NOISE**2 + _WORST_FORCE**2):
             return None
         near = rows.mean(axis=1) - rows.mean(axis=1).min() < _FORCE_ADVANTAGE
-        excess = excess_over_best(rows, _FORCE_OVERLAP)
+        excess = compute_excess(rows, _FORCE_OVERLAP)
         return np.where(near, 0.0, excess).reshape(len(_READINGS), 2, 48)
 
     @cached_property
@@ -337,7 +337,7 @@ class TruthFits:
 
     def views(self, gyro: Floats, accel: Floats) -> tuple[TruthView, ...]:
         """Return the view of each reading when gyro and accelerometer measure in these wrong axes (3, 3)."""
-        axes = index_of(gyro), index_of(accel)
+        axes = find_index(gyro), find_index(accel)
         if axes not in self._views:  # hypotheses about the magnetometer share them
             self._views[axes] = tuple(self._make_views(gyro, accel))
         return self._views[axes]
@@ -345,9 +345,9 @@ class TruthFits:
     def _make_views(self, gyro: Floats, accel: Floats) -> Iterator[TruthView]:
         """Yield the view of each reading of the truth when gyro and accelerometer measure in wrong axes (3, 3)."""
         parity = 0 if np.linalg.det(gyro) > 0 else 1
-        turn = index_of(gyro @ accel.T)  # takes measured forces to the axes of the measured rates
+        turn = find_index(gyro @ accel.T)  # takes measured forces to the axes of the measured rates
         for place, reading in enumerate(_READINGS):
-            mounting = self._mountings[place][index_of(gyro)]
+            mounting = self._mountings[place][find_index(gyro)]
             mean = self._make_force_table(place, parity)[1][turn]
             misfit = float(self.rate_misfit[place, parity])
             up_n = np.array([0.0, 0.0, 1.0])

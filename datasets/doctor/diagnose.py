@@ -7,7 +7,7 @@ import numpy as np
 
 from stillpoint.datasets.doctor.clocks import check_clocks, check_losses
 from stillpoint.datasets.doctor.conventions import TruthFits, check_truth_mismatch, turn_truth
-from stillpoint.datasets.doctor.field import check_base_pose, check_field, cosine_to_base_pose, find_dips
+from stillpoint.datasets.doctor.field import check_base_pose, check_field, compute_base_pose_cosine, find_dips
 from stillpoint.datasets.doctor.finding import Diagnosis, Finding
 from stillpoint.datasets.doctor.hypotheses import (
     Verdict,
@@ -23,7 +23,7 @@ from stillpoint.datasets.doctor.spin import check_spin
 from stillpoint.datasets.doctor.truth import ask_truth, check_slips, check_truth_values, find_accel_lag
 from stillpoint.datasets.doctor.units import check_field_unit, check_gravity, check_gyro_size
 from stillpoint.datasets.doctor.values import check_steps, check_values
-from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
+from stillpoint.datasets.doctor.witness import Witness, ask_accel, ask_mag, find_lag_by_gravity
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times
 
 _MOST_FAULTS = 6  # of axes and scales in one recording
@@ -106,7 +106,7 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
         fits = None if case.now.truth is None else TruthFits(imu, case.now.truth)
         mag = next((one for one in witnesses if one.name == "mag"), None)
         dips = find_dips(case.now, case.rests_ns, mag)
-        verdict = compare_hypotheses(witnesses, dips, cosine_to_base_pose(case.now, case.rests_ns), fits)
+        verdict = compare_hypotheses(witnesses, dips, compute_base_pose_cosine(case.now, case.rests_ns), fits)
         if case.now.truth is not None and fits is not None:
             view = verdict.best.view
             truth = case.now.truth if view is None else view.correct(case.now.truth)
@@ -159,7 +159,7 @@ def _find_accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:
     if accel is None or accel.choice is None or accel.scale is None:
         return None
     imu = case.now.require_imu()
-    return accel_lag(imu, _find_bias(imu, case.rests_ns, witnesses), accel.scale * accel.choice.matrix)
+    return find_lag_by_gravity(imu, _find_bias(imu, case.rests_ns, witnesses), accel.scale * accel.choice.matrix)
 
 
 def _find_bias(imu: Imu, rests_ns: Times, witnesses: list[Witness]) -> Floats:

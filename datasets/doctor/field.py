@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.witness import Witness
-from stillpoint.datasets.earth import FIELD_YEARS, decimal_year, magnetic_field_n_ut
+from stillpoint.datasets.earth import FIELD_YEARS, compute_magnetic_field_n_ut, to_decimal_year
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
@@ -98,9 +98,9 @@ def _predict_dip(recording: Recording) -> float | None:
     if place is None:
         return None
     try:
-        year = decimal_year(recording.info.date) if recording.info.date else FIELD_YEARS[1]
+        year = to_decimal_year(recording.info.date) if recording.info.date else FIELD_YEARS[1]
         year = min(max(year, FIELD_YEARS[0]), FIELD_YEARS[1] - 0.1)
-        east, north, up = magnetic_field_n_ut(place, f"{int(year)}-06-15")
+        east, north, up = compute_magnetic_field_n_ut(place, f"{int(year)}-06-15")
     except BadParameter:
         return None
     return float(np.arctan2(-up, np.hypot(east, north)))
@@ -146,7 +146,7 @@ def _report_dip(dips: Dips | None) -> list[Finding]:
     return [Finding("field-dip", "fact", message, values=values)]
 
 
-def cosine_to_base_pose(recording: Recording, rests_ns: Times) -> float | None:
+def compute_base_pose_cosine(recording: Recording, rests_ns: Times) -> float | None:
     """Return the cosine between the force at the first rest and up in the known base pose; None without either."""
     if recording.base_pose is None or len(rests_ns) == 0:
         return None
@@ -159,7 +159,7 @@ def cosine_to_base_pose(recording: Recording, rests_ns: Times) -> float | None:
 
 def check_base_pose(recording: Recording, rests_ns: Times) -> list[Finding]:
     """Return how far gravity at the first rest is from a known base pose."""
-    cosine = cosine_to_base_pose(recording, rests_ns)
+    cosine = compute_base_pose_cosine(recording, rests_ns)
     if cosine is None:
         return []
     angle_deg = float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))

@@ -22,7 +22,7 @@ import numpy as np
 from stillpoint.datasets.doctor.conventions import TruthFits, TruthView
 from stillpoint.datasets.doctor.field import Dips
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, complexity, describe, index_of
+from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, describe, find_index, measure_complexity
 from stillpoint.datasets.recording import Floats
 
 # Penalties, in nats. A factor of 150 in likelihood (5 nats) is what the data must bring for one wrong sensor.
@@ -77,7 +77,7 @@ class Hypothesis:
         """Return what is changed about one sensor, or about the truth."""
         if sensor == "truth":
             return None if self.view is None else (self.view.reading.name, self.view.frame)
-        return index_of(getattr(self.fault, sensor))
+        return find_index(getattr(self.fault, sensor))
 
     @property
     def changes_nothing(self) -> bool:
@@ -111,7 +111,7 @@ def compare_hypotheses(
     of_signs: dict[tuple[int, int], float] = {}  # the same for every fault of the gyro
     for fault in _list_faults("mag" in {one.name for one in witnesses}):
         misfit = _compute_imu_misfit(fault, excess)
-        signs = index_of(fault.accel), index_of(fault.mag)
+        signs = find_index(fault.accel), find_index(fault.mag)
         if signs not in of_signs:
             of_signs[signs] = _sign_penalty(fault, dips, accel_up)
         penalty = fault.penalty + of_signs[signs]
@@ -160,7 +160,7 @@ def _list_faults(has_mag: bool) -> Iterator[Fault]:
 
 def _count_changed_axes(matrix: Floats) -> int:
     """Return how many axes are moved or flipped; a sign that is wrong for all three is one mistake."""
-    return 1 if np.array_equal(matrix, -_IDENTITY) else complexity(matrix)[0]
+    return 1 if np.array_equal(matrix, -_IDENTITY) else measure_complexity(matrix)[0]
 
 
 def _compute_imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
@@ -168,7 +168,7 @@ def _compute_imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
     total = 0.0
     for name, matrix in (("accel", fault.accel), ("mag", fault.mag)):
         if name in excess:
-            total += float(excess[name][index_of(np.linalg.det(matrix) * matrix @ fault.gyro.T)])
+            total += float(excess[name][find_index(np.linalg.det(matrix) * matrix @ fault.gyro.T)])
     return total
 
 

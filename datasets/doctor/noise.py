@@ -24,7 +24,7 @@ _SMOOTH_S = 0.1
 def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
     """Measure the white noise of each sensor in the calm stretches, and the gyro's bias."""
     imu = recording.require_imu()
-    spans = rests_ns if len(rests_ns) else calm_seconds(imu)
+    spans = rests_ns if len(rests_ns) else find_calm_seconds(imu)
     where = f"in {len(rests_ns)} rests" if len(rests_ns) else f"in {len(spans)} calm seconds"
     columns = [("gyro", imu.t_ns, imu.gyro_b_radps), ("accel", imu.t_ns, imu.accel_b_mps2)]
     if recording.mag is not None:
@@ -39,7 +39,7 @@ def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witne
     return findings + _report_bias(recording, rests_ns, witnesses)
 
 
-def white_noise(values: Floats, still: np.ndarray) -> Floats:
+def measure_white_noise(values: Floats, still: np.ndarray) -> Floats:
     """Return the standard deviation of white noise per column, from differences between neighbouring still samples.
 
     Third differences, so that slow turning does not count; robust against single jolts.
@@ -53,7 +53,7 @@ def white_noise(values: Floats, still: np.ndarray) -> Floats:
 
 def _report_noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str) -> Finding:
     """Return the finding about the white noise of a sensor (N, 3) over its still samples (N,)."""
-    sd = white_noise(values, still)
+    sd = measure_white_noise(values, still)
     density = float(np.max(sd) / np.sqrt(rate))
     factor, unit = _UNITS[name]
     message = (
@@ -98,7 +98,7 @@ def _report_bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witn
     return [Finding("gyro-bias", "warning", message + "; subtract it", remedy, values)]
 
 
-def calm_seconds(imu: Imu) -> Times:
+def find_calm_seconds(imu: Imu) -> Times:
     """Return the first and last stamps of whole seconds in which the smoothed specific force keeps still, (S, 2)."""
     tenth = _number_bins(imu.t_ns, _SMOOTH_S)
     first, mean = _average_bins(tenth, imu.accel_b_mps2)

@@ -35,7 +35,7 @@ def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
         return recording
 
 
-def line_through(t_ns: Times) -> Times:
+def fit_even_stamps(t_ns: Times) -> Times:
     """Return evenly spaced stamps by a least-squares line through each stretch without a gap.
 
     The stamps as they were where lines of neighbouring stretches would cross.
@@ -51,7 +51,7 @@ def line_through(t_ns: Times) -> Times:
     return even if (np.diff(even) > 0).all() else t_ns
 
 
-def repeats(values: Floats) -> np.ndarray:
+def find_repeats(values: Floats) -> np.ndarray:
     """Return True for rows that equal the row before, (N,)."""
     return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
 
@@ -137,7 +137,7 @@ def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Re
 def _straighten_stamps(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     """Put a line through the stamps of each stretch without gaps; the note says how far they move."""
     stream = getattr(recording, remedy.target)
-    even = line_through(stream.t_ns)
+    even = fit_even_stamps(stream.t_ns)
     note = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
     even = even - min(int(even[0]), 0)  # a line may start a little before time 0
     return _replace_stream(recording, remedy.target, replace(stream, t_ns=even)), note
@@ -156,9 +156,9 @@ def _drop_repeats(recording: Recording, remedy: Remedy) -> tuple[Recording, str]
     """Drop the samples that repeat the one before."""
     if remedy.target == "imu":
         imu = recording.require_imu()
-        same = repeats(np.hstack([imu.gyro_b_radps, imu.accel_b_mps2]))
+        same = find_repeats(np.hstack([imu.gyro_b_radps, imu.accel_b_mps2]))
     else:
-        same = repeats(_get_values(recording, remedy.target))
+        same = find_repeats(_get_values(recording, remedy.target))
     return _keep_rows(recording, remedy.target, ~same)
 
 
@@ -181,7 +181,7 @@ def _select_rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Im
 def _interpolate_held(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     """Replace values that repeat the one before by a line between their neighbours."""
     imu, values = recording.require_imu(), _get_values(recording, remedy.target)
-    held = repeats(values)
+    held = find_repeats(values)
     seconds = (imu.t_ns - imu.t_ns[0]) / 1e9
     filled = np.stack([np.interp(seconds, seconds[~held], column[~held]) for column in values.T], axis=1)
     return _replace_values(recording, remedy.target, filled), f"{int(held.sum())} samples interpolated"

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
-from stillpoint.datasets.doctor.remedy import repeats
-from stillpoint.datasets.doctor.turning import gyro_series, solve, stands_out, vector_series
-from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, choose, index_of
+from stillpoint.datasets.doctor.remedy import find_repeats
+from stillpoint.datasets.doctor.turning import find_large_sizes, make_gyro_series, make_vector_series, solve
+from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, choose, find_index
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
 
@@ -24,8 +24,8 @@ _SLIP_RAD, _SLIP_RATIO, _MOST_SLIPS = np.deg2rad(10.0), 10.0, 0.3  # a second th
 def ask_truth(imu: Imu, truth: Truth) -> Witness:
     """Find axes, scale, bias and lag of the gyro by the rate of an independent attitude."""
     origin = int(imu.t_ns[0])
-    gyro = gyro_series(imu, origin)
-    start, end, rate = truth_rates(truth, origin)
+    gyro = make_gyro_series(imu, origin)
+    start, end, rate = compute_truth_rates(truth, origin)
     inside = (start - REACH_S > gyro.t_s[0]) & (end + REACH_S < gyro.t_s[-1])
     inside &= ~gyro.touches_gap(start - REACH_S, end + REACH_S)
     start, end, rate = start[inside], end[inside], rate[inside]
@@ -43,7 +43,7 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
         return np.asarray(((rates - known @ fit) ** 2).sum(axis=1))
 
     lag = find_lag(compute_loss)
-    moving = stands_out(np.linalg.norm(rate, axis=1))
+    moving = find_large_sizes(np.linalg.norm(rate, axis=1))
     rates, rate = average_at_lag(lag.lag_s if lag else 0.0)[moving], rate[moving]
     turned, target = rates - np.median(rates, axis=0), rate - np.median(rate, axis=0)
     floor = 0.02**2 * float((target**2).sum(axis=1).mean()) + 1e-300
@@ -56,12 +56,12 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
     choice = choose(np.array(losses), np.log((target**2).sum(axis=1) + floor), overlap=2.0)
     if choice is None:
         return Witness("truth", None)
-    scale = float(scales[index_of(choice.matrix)])
+    scale = float(scales[find_index(choice.matrix)])
     bias = np.median(rates - rate @ choice.matrix / scale, axis=0)
     return Witness("truth", choice, scale, lag, bias)
 
 
-def truth_rates(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
+def compute_truth_rates(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
     """Start and end in s of pairs of truth samples about 40 ms apart, and the mean body rate between, (n, 3)."""
     t_s = (truth.t_ns - origin_ns) / 1e9
     if len(t_s) < FEWEST:
@@ -82,7 +82,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     if truth.position_n_m is None:
         return None
     origin = int(imu.t_ns[0])
-    force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
+    force = make_vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     at_s, expected, swing = _compute_truth_forces(truth, origin)
     half = _FORCE_WINDOW_S / 2
     inside = (at_s - half - REACH_S > force.t_s[0]) & (at_s + half + REACH_S < force.t_s[-1])
@@ -136,7 +136,7 @@ def _compute_truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats,
     return t_s[middle], np.einsum("nji,nj->ni", now, force_n), swing
 
 
-def mean_per_bin(bins: NDArray[np.int64], values: Floats) -> Floats:
+def average_bins(bins: NDArray[np.int64], values: Floats) -> Floats:
     """Return the mean of rows (n, k) over each run of equal bins (n,)."""
     starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
     counts = np.diff(starts, append=len(bins))
@@ -155,7 +155,7 @@ def _check_frozen(imu: Imu, truth: Truth) -> list[Finding]:
     """Return the finding that the truth stands still for a while although the gyro turns."""
     away = np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1)
     turning = np.concatenate([[0], np.cumsum(away > _HELD_RADPS)])
-    same = repeats(truth.q_nb)
+    same = find_repeats(truth.q_nb)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     first, last = np.maximum(edges[::2] - 1, 0), edges[1::2] - 1  # the sample that is held, and its last repeat
     begin, end = np.searchsorted(imu.t_ns, truth.t_ns[first]), np.searchsorted(imu.t_ns, truth.t_ns[last])
@@ -189,8 +189,8 @@ def _check_odometry(recording: Recording, truth: Truth) -> list[Finding]:
 def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
     """Report seconds in which a truth that fits the gyro elsewhere turns otherwise: wheels that slip, lost markers."""
     origin = int(imu.t_ns[0])
-    gyro = gyro_series(imu, origin)
-    start, end, rate = truth_rates(truth, origin)
+    gyro = make_gyro_series(imu, origin)
+    start, end, rate = compute_truth_rates(truth, origin)
     inside = (start + lag_s > gyro.t_s[0]) & (end + lag_s < gyro.t_s[-1])
     inside &= ~gyro.touches_gap(start + lag_s, end + lag_s)
     start, end, rate = start[inside], end[inside], rate[inside]
@@ -198,7 +198,7 @@ def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
         return []
     off = rate - gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
     bins = np.floor(start / _SLIP_WINDOW_S).astype(np.int64)
-    parted = _SLIP_WINDOW_S * np.linalg.norm(mean_per_bin(bins, off - np.median(off, axis=0)), axis=1)
+    parted = _SLIP_WINDOW_S * np.linalg.norm(average_bins(bins, off - np.median(off, axis=0)), axis=1)
     slipped = parted > max(_SLIP_RATIO * float(np.median(parted)), _SLIP_RAD)
     if not 0 < slipped.mean() < _MOST_SLIPS:
         return []

@@ -63,12 +63,12 @@ class Series:
         return inside < np.searchsorted(self.gaps_s[:, 0], end_s, side="left")
 
 
-def gyro_series(imu: Imu, origin_ns: int) -> Series:
+def make_gyro_series(imu: Imu, origin_ns: int) -> Series:
     """Return the turn that the gyro measured: a sample describes the step that ends at its stamp."""
     return _make_series(imu.t_ns, imu.gyro_b_radps, origin_ns, imu.gyro_b_radps[1:])
 
 
-def vector_series(t_ns: Times, values: Floats, origin_ns: int) -> Series:
+def make_vector_series(t_ns: Times, values: Floats, origin_ns: int) -> Series:
     """Return vectors that hold at their stamps."""
     return _make_series(t_ns, values, origin_ns, 0.5 * (values[1:] + values[:-1]))
 
@@ -129,7 +129,7 @@ class Grid:
         self._turns = _sum_cumulatively(self.turn)
         turned = self._turns[self.last] - self._turns[self.first]
         size = np.linalg.norm(turned - np.median(turned, axis=0), axis=1) if len(turned) else np.zeros(0)
-        self._thin_windows(stands_out(size))
+        self._thin_windows(find_large_sizes(size))
 
     def _thin_windows(self, rows: NDArray[np.bool_]) -> None:
         stride = max(1, int(rows.sum()) // _MOST_WINDOWS)
@@ -155,7 +155,7 @@ class Grid:
         )
 
 
-def stands_out(size: Floats) -> NDArray[np.bool_]:
+def find_large_sizes(size: Floats) -> NDArray[np.bool_]:
     """Return which sizes are well above those at rest; all of them when few are."""
     keep = size > 0.1 * np.quantile(size, 0.95) if len(size) else np.zeros(0, dtype=np.bool_)
     return keep if keep.sum() >= FEWEST_WINDOWS else np.ones(len(size), dtype=np.bool_)
@@ -183,7 +183,7 @@ def solve(columns: Floats, rhs: Floats, weight: Floats) -> tuple[Floats, Floats]
     return x, np.linalg.norm(rhs - np.einsum("nap,p->na", columns, x), axis=1)
 
 
-def robust_solve(columns: Floats, rhs: Floats, weight: Floats, rounds: int = 3) -> tuple[Floats, Floats, Floats]:
+def solve_robustly(columns: Floats, rhs: Floats, weight: Floats, rounds: int = 3) -> tuple[Floats, Floats, Floats]:
     """Solve as :func:`solve` with less weight on windows that fit badly; return the final weights (n,) too."""
     weights = weight
     for _ in range(rounds):
@@ -243,7 +243,7 @@ class Swings:
 
 
 @cache
-def displacement_modes(length: int, step_s: float) -> tuple[Floats, Floats]:
+def make_displacement_modes(length: int, step_s: float) -> tuple[Floats, Floats]:
     """Return two arrays (6, L) that give the same six numbers by a window's forces and by its displacements.
 
     The sum of their squares is the mean square displacement in m^2 about the parabola that fits it best.
@@ -255,10 +255,10 @@ def displacement_modes(length: int, step_s: float) -> tuple[Floats, Floats]:
     return patterns[:MODES] * size[:MODES, None] / np.sqrt(length), shapes[:, :MODES].T / np.sqrt(length)
 
 
-def displacement(seen: Seen, matrices: Floats) -> Floats:
+def compute_displacement(seen: Seen, matrices: Floats) -> Floats:
     """Return the mean square displacement (K, n) in m^2, per matrix and window, if true rate = matrix @ measured."""
     count, n, length = len(matrices), *seen.turn.shape[:2]
-    modes, _ = displacement_modes(length, seen.step_s)
+    modes, _ = make_displacement_modes(length, seen.step_s)
     # One array (K, L, n) per component: numpy is several times slower on a last axis of three or four.
     half = matrices.reshape(-1, 3) @ (0.5 * seen.turn).transpose(2, 1, 0).reshape(3, -1)
     rx, ry, rz = np.moveaxis(half.reshape(count, 3, length, n), 1, 0)
@@ -301,16 +301,16 @@ def integrate_attitudes(seen: Seen, matrix: Floats) -> Floats:
     return attitudes
 
 
-def displacement_about_pivot(seen: Seen, attitudes: Floats) -> Floats:
-    """Return :func:`displacement` for these attitudes (n, L, 3, 3), (n,), without what a turn about one fixed pivot
-    in the body explains.
+def compute_pivot_displacement(seen: Seen, attitudes: Floats) -> Floats:
+    """Return :func:`compute_displacement` (n,) for attitudes (n, L, 3, 3), less what a turn about a pivot explains.
 
-    A hand turns about its wrist: the sensor then swings by R r with the arm r, which looks like a lag of gravity.
+    The pivot is one fixed point of the body. A hand turns about its wrist: the sensor then swings by R r with the arm
+    r, which looks like a lag of gravity.
     """
     n, length = seen.turn.shape[:2]
-    of_force, of_path = displacement_modes(length, seen.step_s)
+    of_force, of_path = make_displacement_modes(length, seen.step_s)
     felt = (attitudes @ seen.force[..., None])[..., 0]
     moved = (of_force @ felt).reshape(n, MODES * 3)
     swung = (of_path @ attitudes.reshape(n, length, 9)).reshape(n, MODES * 3, 3)
-    _, residual, _ = robust_solve(swung, moved, np.ones(n), rounds=2)
+    _, residual, _ = solve_robustly(swung, moved, np.ones(n), rounds=2)
     return np.asarray(residual**2)

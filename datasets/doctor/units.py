@@ -4,7 +4,7 @@ import numpy as np
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.noise import calm_seconds
+from stillpoint.datasets.doctor.noise import find_calm_seconds
 from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.recording import Floats, Recording, Times
 from stillpoint.datasets.times import is_inside
@@ -37,7 +37,7 @@ def check_gyro_size(recording: Recording) -> list[Finding]:
 def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
     """Judge the size of the specific force at rest, or of its median where nothing rests."""
     imu = recording.require_imu()
-    still = is_inside(imu.t_ns, rests_ns if len(rests_ns) else calm_seconds(imu))
+    still = is_inside(imu.t_ns, rests_ns if len(rests_ns) else find_calm_seconds(imu))
     at_rest = bool(still.sum() >= 20)
     norm = np.linalg.norm(imu.accel_b_mps2[still] if at_rest else imu.accel_b_mps2, axis=1)
     size = max(float(np.median(norm)), 1e-300)

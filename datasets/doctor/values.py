@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.remedy import repeats
-from stillpoint.datasets.doctor.turning import stands_out
+from stillpoint.datasets.doctor.remedy import find_repeats
+from stillpoint.datasets.doctor.turning import find_large_sizes
 from stillpoint.datasets.recording import Floats, Recording, Times
 
 _CLIPPED_SAMPLES = 5  # fewer at the extreme may be chance
@@ -69,7 +69,7 @@ def _list_sensors(recording: Recording) -> list[_Sensor]:
     sensors = []
     if recording.imu is not None:
         imu = recording.imu
-        turning = stands_out(np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1))
+        turning = find_large_sizes(np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1))
         norm = np.linalg.norm(imu.accel_b_mps2, axis=1)
         shaken = np.abs(norm - np.median(norm)) > 0.03 * np.median(norm)
         sensors.append(_Sensor("gyro", "imu", imu.t_ns, imu.gyro_b_radps, _find_neighbours(turning | shaken)))
@@ -145,7 +145,7 @@ def _find_clipping(sensor: _Sensor) -> list[Finding]:
 
 def _find_frozen(sensor: _Sensor) -> list[Finding]:
     """Return the finding that all axes repeat the same value for a while in motion."""
-    same = repeats(sensor.values)
+    same = find_repeats(sensor.values)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     first, last = edges[::2], edges[1::2] - 1  # of the repeating samples; the one before is genuine
     seconds = (sensor.t_ns[last] - sensor.t_ns[np.maximum(first - 1, 0)]) / 1e9
@@ -169,7 +169,7 @@ def _find_held(sensor: _Sensor, recording: Recording) -> list[Finding]:
     """Return the finding that values are repeated between samples: the sensor is slower than its stamps."""
     if sensor.stream == "spin" or sensor.moving.sum() < 20:
         return []
-    same = repeats(sensor.values)
+    same = find_repeats(sensor.values)
     share = float(same[sensor.moving].mean())
     # A stretch of doubled samples is a fault as well, however short beside the recording.
     pairs = same & sensor.moving
@@ -179,7 +179,7 @@ def _find_held(sensor: _Sensor, recording: Recording) -> list[Finding]:
         return []
     if sensor.stream == "mag":
         remedy = Remedy("drop-repeats", "mag", "mag: of equal neighbouring samples the first kept")
-    elif _repeat_together(pairs, repeats(_get_other_sensor(sensor.name, recording)) & sensor.moving):
+    elif _repeat_together(pairs, find_repeats(_get_other_sensor(sensor.name, recording)) & sensor.moving):
         remedy = Remedy("drop-repeats", "imu", "imu: of equal neighbouring samples the first kept")
     else:
         remedy = Remedy("interpolate", sensor.name, f"{sensor.name}: held samples interpolated")

@@ -18,13 +18,13 @@ from stillpoint.datasets.doctor.turning import (
     Grid,
     Swings,
     Windows,
-    displacement,
-    displacement_about_pivot,
-    gyro_series,
+    compute_displacement,
+    compute_pivot_displacement,
     integrate_attitudes,
-    robust_solve,
+    make_gyro_series,
+    make_vector_series,
     solve,
-    vector_series,
+    solve_robustly,
 )
 from stillpoint.datasets.recording import Floats, Imu, Mag
 
@@ -48,10 +48,10 @@ def _list_signed_permutations() -> Floats:
             matrix = np.zeros((3, 3))
             matrix[range(3), order] = signs
             found.append(matrix)
-    return np.array(sorted(found, key=complexity))
+    return np.array(sorted(found, key=measure_complexity))
 
 
-def complexity(matrix: Floats) -> tuple[int, int]:
+def measure_complexity(matrix: Floats) -> tuple[int, int]:
     """Return how much a signed permutation changes: moved axes and flipped signs together, then the moved axes
     alone.
     """
@@ -64,7 +64,7 @@ CANDIDATES: Floats = _list_signed_permutations()  # (48, 3, 3), the identity fir
 _IDENTITY = 0
 
 
-def index_of(matrix: Floats) -> int:
+def find_index(matrix: Floats) -> int:
     """Return the place of a signed permutation among the candidates."""
     return int(np.abs(CANDIDATES - matrix).sum(axis=(1, 2)).argmin())
 
@@ -105,15 +105,15 @@ def choose(loss: Floats, null: Floats, overlap: float) -> Choice | None:
         chosen = _IDENTITY
     if chosen != _IDENTITY and gain < _MIN_FAULT_GAIN:
         return None
-    flips = [index_of(CANDIDATES[chosen] @ np.diag(sign)) for sign in 1 - 2 * np.eye(3)]
+    flips = [find_index(CANDIDATES[chosen] @ np.diag(sign)) for sign in 1 - 2 * np.eye(3)]
     tested = [_is_worse(loss[k] - loss[chosen], overlap) for k in flips]
-    excess = excess_over_best(loss, overlap)
+    excess = compute_excess(loss, overlap)
     if chosen == _IDENTITY:
         excess[_IDENTITY] = 0.0
     return Choice(CANDIDATES[chosen], gain, (tested[0], tested[1], tested[2]), excess)
 
 
-def excess_over_best(loss: Floats, overlap: float) -> Floats:
+def compute_excess(loss: Floats, overlap: float) -> Floats:
     """Return the nats (K,) by which each of K candidates is clearly worse than the best, from losses (K, n).
 
     0 for a candidate that the data cannot tell from the best.
@@ -147,14 +147,14 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     if len(mag.t_ns) < FEWEST_WINDOWS:
         return Witness("mag", None)
     origin = int(imu.t_ns[0])
-    field = vector_series(mag.t_ns, mag.mag_b_ut, origin)
-    grid = Grid(gyro_series(imu, origin), field, REACH_S)
+    field = make_vector_series(mag.t_ns, mag.mag_b_ut, origin)
+    grid = Grid(make_gyro_series(imu, origin), field, REACH_S)
     if len(grid) < FEWEST_WINDOWS:
         return Witness("mag", None)
     rough = find_lag(_make_robust_loss(grid, lambda at: at.design(np.zeros(3))))
     at = grid.at_lag(rough.lag_s if rough and rough.clear else 0.0)
     centre = _find_sphere_centre(mag.mag_b_ut)
-    weight = robust_solve(at.design(centre), at.change, np.ones(len(grid)))[2]
+    weight = solve_robustly(at.design(centre), at.change, np.ones(len(grid)))[2]
     fits = [_fit(at, matrix, centre, weight) for matrix in CANDIDATES]
     _, null = solve(_make_bias_columns(at, centre), at.change, weight)
     noise = min(float(np.median(residual)) for _, residual in fits)
@@ -169,7 +169,7 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     matrix = choice.matrix
     lag = find_lag(_make_robust_loss(grid, lambda at: _make_columns(at, matrix, centre)))
     at = grid.at_lag(lag.lag_s if lag and lag.clear else 0.0)
-    found, _, _ = robust_solve(_make_columns(at, matrix, centre), at.change, np.ones(len(grid)), rounds=2)
+    found, _, _ = solve_robustly(_make_columns(at, matrix, centre), at.change, np.ones(len(grid)), rounds=2)
     bias = -matrix.T @ found[1:4] / found[0]
     return Witness("mag", choice, float(found[0]), lag, bias, centre + found[4:7] / found[0])
 
@@ -177,8 +177,8 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
 def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     """Ask the accelerometer: carried back by the gyro, gravity must stay where it is, and translation stay small."""
     origin = int(imu.t_ns[0])
-    force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
-    swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
+    force = make_vector_series(imu.t_ns, imu.accel_b_mps2, origin)
+    swings = Swings(make_gyro_series(imu, origin), force, bias_b_radps, REACH_S)
     if len(swings) < _FEWEST_SWINGS:
         return Witness("accel", None)
     seen = swings.at_lag(0.0)
@@ -186,7 +186,7 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
 
     def compute_loss(matrices: Floats) -> Floats:
         """Return the log loss (K, n) of each matrix and window."""
-        return np.log(displacement(seen, matrices) + floor)
+        return np.log(compute_displacement(seen, matrices) + floor)
 
     nothing = compute_loss(np.zeros((1, 3, 3)))[0]
     usual = float(_STEPS_OF_SCALE[int(compute_loss(_STEPS_OF_SCALE[:, None, None] * np.eye(3)).mean(axis=1).argmin())])
@@ -203,17 +203,17 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     return Witness("accel", choice, scale, losses=(losses - nothing).sum(axis=1))
 
 
-def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
+def find_lag_by_gravity(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
     """Return how late the accelerometer's stamps are against the gyro's, by gravity, when true rate = matrix @
     measured.
     """
     origin = int(imu.t_ns[0])
-    force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
-    swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
+    force = make_vector_series(imu.t_ns, imu.accel_b_mps2, origin)
+    swings = Swings(make_gyro_series(imu, origin), force, bias_b_radps, REACH_S)
     unshifted = swings.at_lag(0.0)
     attitudes = integrate_attitudes(unshifted, matrix)  # of the gyro alone, for every lag
-    usual = float(np.median(displacement_about_pivot(unshifted, attitudes))) + 1e-300
-    return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), attitudes) / usual))
+    usual = float(np.median(compute_pivot_displacement(unshifted, attitudes))) + 1e-300
+    return find_lag(lambda lag_s: np.log1p(compute_pivot_displacement(swings.at_lag(lag_s), attitudes) / usual))
 
 
 def _find_sphere_centre(vectors: Floats) -> Floats:
@@ -236,7 +236,7 @@ def _make_robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Calla
     def compute_loss(lag_s: float) -> Floats:
         """Return the robust loss (n,) of the best fit at this lag; the first call sets the scale of its residuals."""
         at = grid.at_lag(lag_s)
-        _, residual, _ = robust_solve(columns(at), at.change, np.ones(len(grid)), rounds=2)
+        _, residual, _ = solve_robustly(columns(at), at.change, np.ones(len(grid)), rounds=2)
         if not size:
             size.append(3 * float(np.median(residual)) + 1e-300)  # wide, so that no valley beside the true one stays
         return np.asarray(np.log1p((residual / size[0]) ** 2))

@@ -15,7 +15,7 @@ ROWS_AT_ONCE = 1 << 14  # of a text: numbers as Python objects take ten times th
 Table = dict[str, np.ndarray]  # column -> (N,); t_ns comes first
 
 
-def tables_of(thing: Recording | Piece | Reference | SpinReference | Estimate) -> Mapping[str, Table]:
+def make_tables(thing: Recording | Piece | Reference | SpinReference | Estimate) -> Mapping[str, Table]:
     """Return stream -> table for a recording or a piece of it, one table named "" for anything made from it. SI units.
 
     The sensors' columns are called as ``stillpoint stream`` reads them.
@@ -43,7 +43,7 @@ def tables_of(thing: Recording | Piece | Reference | SpinReference | Estimate) -
     return {"": table}
 
 
-def csv_text(table: Table) -> str:
+def format_csv(table: Table) -> str:
     """Return a header and a line per sample; every number has as many digits as reading it back exactly takes."""
     return "".join([format_csv_header(table), *format_csv_rows(table)])
 

@@ -1,6 +1,6 @@
 """Files behind URLs: whatever fsspec reaches (S3, HTTP, memory://), read by ranges, with repeated attempts.
 
-A URL may travel as a ``Path``, which writes ``s3://bucket/key`` as ``s3:/bucket/key``; :func:`url_of` undoes that.
+A URL may travel as a ``Path``, which writes ``s3://bucket/key`` as ``s3:/bucket/key``; :func:`get_url` undoes that.
 fsspec and the client of the protocol are the extra ``cloud``.
 """
 
@@ -26,14 +26,14 @@ def is_url(path: Path | str) -> bool:
     return match is not None and match[1].lower() != "file"
 
 
-def url_of(path: Path | str) -> str:
+def get_url(path: Path | str) -> str:
     """Return the URL that a path stands for, with its two slashes."""
     return _URL.sub(lambda match: f"{match[1].lower()}://", str(path), count=1)
 
 
 def open_url(path: Path | str) -> tuple[Any, str]:
     """Return the fsspec file system of a URL, and the path in it; raises :class:`BadParameter` without fsspec."""
-    url = url_of(path)
+    url = get_url(path)
     try:
         import fsspec
 
@@ -69,7 +69,7 @@ def list_files(path: Path | str, suffix: str) -> list[Path]:
     Raises :class:`BadParameter` when there is none.
     """
     filesystem, inside = open_url(path)
-    start, _, _ = url_of(path).partition("://")
+    start, _, _ = get_url(path).partition("://")
     try:
         if any(letter in inside for letter in "*?["):
             found = filesystem.glob(inside)
@@ -80,10 +80,10 @@ def list_files(path: Path | str, suffix: str) -> list[Path]:
     except (FileNotFoundError, NotADirectoryError):
         found = []
     except Exception as error:  # each protocol has exceptions of its own
-        raise BadFile(f"{url_of(path)}: cannot be listed ({error}); check the connection and your rights") from error
+        raise BadFile(f"{get_url(path)}: cannot be listed ({error}); check the connection and your rights") from error
     files = sorted(Path(f"{start}://{one.lstrip('/')}") for one in found if one.endswith(suffix))
     if not files:
-        raise BadParameter(f"{url_of(path)}: there is no file *{suffix}")
+        raise BadParameter(f"{get_url(path)}: there is no file *{suffix}")
     return files
 
 
@@ -93,7 +93,7 @@ class RangedFile(io.RawIOBase):
     def __init__(self, path: Path | str) -> None:
         """Open a URL, and ask for its size; raises :class:`BadFile`."""
         super().__init__()
-        self.url = url_of(path)
+        self.url = get_url(path)
         self._fs, self._path = open_url(path)
         self._position = 0
         self.bytes_fetched = 0

@@ -80,14 +80,14 @@ class ResultStore:
         return self.folder / f"{key}.npz"
 
 
-def key_of(**deciding: Any) -> str:
+def make_key(**deciding: Any) -> str:
     """Return the key of everything that decides a result; values must be plain JSON."""
-    text = json.dumps({"product": product_version(), **deciding}, sort_keys=True, default=_to_plain)
+    text = json.dumps({"product": get_product_version(), **deciding}, sort_keys=True, default=_to_plain)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def product_version() -> str:
+def get_product_version() -> str:
     """Return the version of stillpoint with a hash of the code that decides results."""
     return f"{version('stillpoint')}+{hash_code(_DECIDING)[:12]}"
 

@@ -12,7 +12,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.arrays import read_array
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
-from stillpoint.datasets.importers.files import digests, find_folders, reading
+from stillpoint.datasets.importers.files import find_folders, hash_files, reading
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.series import (
@@ -62,7 +62,7 @@ def read_bench(folder: Path, options: Options) -> Imported:
         sensor="InvenSense MPU6050, Honeywell HMC5883L",
         mag_uncalibrated=True,
         units_unchecked=options.units_unchecked,
-        sha256=digests([folder / name for name in received], folder.parent),
+        sha256=hash_files([folder / name for name in received], folder.parent),
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.arrays import read_array, to_floats
-from stillpoint.datasets.importers.files import digests, reading, require_existing
+from stillpoint.datasets.importers.files import hash_files, reading, require_existing
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.matlab import load_mat
 from stillpoint.datasets.importers.options import Options
@@ -67,7 +67,7 @@ def read_broad(file: Path, options: Options) -> Imported:
         sensor="myon aktos-t (truth: OptiTrack, eight Flex 13 cameras)",
         mag_uncalibrated=disturbed,
         units_unchecked=options.units_unchecked,
-        sha256=digests([file, *described], file.parent),
+        sha256=hash_files([file, *described], file.parent),
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
         extra={"north": "magnetic", **extra},

@@ -34,7 +34,7 @@ from stillpoint.datasets.importers.delimited_log import (
     read_table,
     shift_to_zero,
 )
-from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.files import hash_files
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, make_gps, merge_imu
@@ -84,7 +84,7 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
         recording = replace(recording, truth=_read_truth_file(truth_file, options, log))
         files += [truth_file] if truth_file.is_file() else []
     assert recording.imu is not None
-    sha256 = {name: digest for one in files for name, digest in digests([one], one.parent).items()}
+    sha256 = {name: digest for one in files for name, digest in hash_files([one], one.parent).items()}
     info = make_info(f"delimited log {file.name}", options, recording.imu.t_ns, sha256, log)
     return Imported(replace(recording, info=info))
 

@@ -13,7 +13,7 @@ from stillpoint.datasets.errors import BadRecording, BadSource, StillpointError
 from stillpoint.datasets.importers.csv_log import CsvOptions, read_csv_table
 from stillpoint.datasets.importers.delimited import Table, parse, take_rows
 from stillpoint.datasets.importers.delimited_log import apply_config, note_skipped
-from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.files import hash_files
 from stillpoint.datasets.importers.long_recording import Collector, LongRecording, NotInPiecesError
 from stillpoint.datasets.importers.series import Log
 
@@ -56,7 +56,7 @@ def _read_long(file: Path, options: CsvOptions) -> LongRecording:
         log.add_conversion(line)
     for what, count in lost.items():
         log.count_dropped_rows(what, count, rows)
-    return found.close(f"delimited log {file.name}", str(file), digests([file], file.parent), log)
+    return found.close(f"delimited log {file.name}", str(file), hash_files([file], file.parent), log)
 
 
 def _list_tables(file: Path, options: CsvOptions, log: Log) -> Iterator[Table]:

@@ -15,7 +15,7 @@ from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, normalise_unit
 from stillpoint.datasets.importers.delimited import Table
 from stillpoint.datasets.importers.delimited_log import read_table
-from stillpoint.datasets.importers.files import digests, read_text, reading, require_existing
+from stillpoint.datasets.importers.files import hash_files, read_text, reading, require_existing
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, sort_by_time
@@ -77,7 +77,7 @@ def read_euroc(folder: Path, options: OwnOptions) -> Imported:
     gps = _read_gps(folder, files, log)
     truth = _read_truth(folder, files, log)
     name = folder.parent.name if folder.name == "mav0" and folder.parent.name else folder.name
-    sha256 = digests(files, folder)
+    sha256 = hash_files(files, folder)
     info = make_info(f"ASL folder {name}", options, common, sha256, log, mag_uncalibrated=uncalibrated)
     imu = Imu(common, gyro.values[at_gyro], accel.values[at_accel])
     return Imported(Recording(name, imu=imu, mag=mag, gps=gps, truth=truth, info=info))

@@ -41,7 +41,7 @@ def _describe_failure(error: Exception) -> str:
     return f"{type(error).__name__}: {first}" if first else type(error).__name__
 
 
-def digests(files: Iterable[Path], below: Path) -> dict[str, str]:
+def hash_files(files: Iterable[Path], below: Path) -> dict[str, str]:
     """Return the sha256 of files by their names relative to ``below``."""
     return {file.relative_to(below).as_posix(): sha256(file) for file in files}
 
@@ -132,10 +132,10 @@ def open_bundle(source: Path, suffixes: tuple[str, ...] = (".csv",)) -> Bundle:
     if source.is_dir():
         files = sorted(f for f in source.rglob("*") if f.is_file() and f.suffix.lower() in suffixes)
         texts = {file.relative_to(source).as_posix(): read_text(file) for file in files}
-        sha256 = digests(files, source)
+        sha256 = hash_files(files, source)
     else:
         texts = _read_zip(source, suffixes)
-        sha256 = digests([source], source.parent)
+        sha256 = hash_files([source], source.parent)
     if not texts:
         kinds = " or ".join(suffix.lstrip(".").upper() for suffix in suffixes)
         raise BadSource(f"{source}: holds no {kinds} file; name the zip of one recording, or the folder it unpacks to")

@@ -12,7 +12,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
 from stillpoint.datasets.importers.delimited_log import read_table
-from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.files import hash_files
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.series import Log
@@ -50,7 +50,7 @@ def read_flatball(file: Path, options: Options) -> Imported:
         sensor="ISM330DHCX, MMC5983MA",
         mag_uncalibrated=True,
         units_unchecked=options.units_unchecked,
-        sha256=digests([file], file.parent),
+        sha256=hash_files([file], file.parent),
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
     )

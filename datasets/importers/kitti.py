@@ -13,7 +13,7 @@ from stillpoint.datasets.earth import enu_m
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import from_euler
 from stillpoint.datasets.importers.clock import ISO, parse_times
-from stillpoint.datasets.importers.files import digests, read_text, require_existing
+from stillpoint.datasets.importers.files import hash_files, read_text, require_existing
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, sort_by_time
@@ -64,7 +64,7 @@ def read_kitti(folder: Path, options: OwnOptions) -> Imported:
     course_deg = np.rad2deg(np.arctan2(east, north)) % 360
     gps = make_gps(Series(t_ns, np.column_stack([rows[:, _PLACE], course_deg, np.hypot(north, east)])), log)
     drive = folder.parent.name or folder.name
-    sha256 = digests([stamps, *files], folder)
+    sha256 = hash_files([stamps, *files], folder)
     known = {"sensor": options.sensor or "OXTS RT3003", "extra": {"truth_type": "oxts"}}
     info = make_info(f"KITTI raw data {drive}", options, t_ns, sha256, log, **known)
     return Imported(Recording(drive, imu=Imu(t_ns, rows[:, _RATES], rows[:, _ACCEL]), gps=gps, truth=truth, info=info))

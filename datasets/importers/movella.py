@@ -17,7 +17,7 @@ from stillpoint.datasets.importers.clock import repair_clock, unwrap_counter
 from stillpoint.datasets.importers.columns import RATE
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
-from stillpoint.datasets.importers.files import digests, read_text
+from stillpoint.datasets.importers.files import hash_files, read_text
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
@@ -58,7 +58,7 @@ def read_movella(file: Path, options: MovellaOptions) -> Imported:
     if all(f"Mag_{axis}" in table.columns for axis in _XYZ):
         series = _read_columns(table, t_ns, tuple(f"Mag_{axis}" for axis in _XYZ), "mag", log)
         mag, uncalibrated = scale_arbitrary_field(series, log)
-    sha256 = digests([file], file.parent)
+    sha256 = hash_files([file], file.parent)
     estimates: tuple[Estimate, ...] = ()
     names = next((names for names in _QUATERNIONS if all(name in table.columns for name in names)), None)
     if names is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, normalise_unit
 from stillpoint.datasets.importers.delimited import Table, parse
-from stillpoint.datasets.importers.files import Bundle, digests, open_bundle, read_text
+from stillpoint.datasets.importers.files import Bundle, hash_files, open_bundle, read_text
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import (
@@ -88,7 +88,7 @@ def _open_source(source: Path) -> Bundle:
     """Return a folder, a ZIP or one CSV file as a bundle of texts."""
     if source.suffix.lower() == ".csv" and source.is_file():
         text = read_text(source)
-        return Bundle(source, {source.name: text}, digests([source], source.parent))
+        return Bundle(source, {source.name: text}, hash_files([source], source.parent))
     return open_bundle(source)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.columns import FIELD, STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.importers.files import digests, require_existing
+from stillpoint.datasets.importers.files import hash_files, require_existing
 from stillpoint.datasets.importers.imported import Imported, make_device_estimate, make_mag, turn_truth
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.ros_files import (
@@ -34,7 +34,7 @@ from stillpoint.datasets.importers.ros_truth import (
     TF,
     TF_LIST,
     TRANSFORM,
-    leaves,
+    list_leaves,
     list_pose_topics,
     read_pose_topic,
 )
@@ -54,12 +54,12 @@ IMU, MAG, GPS = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_
 
 _COVARIANCES = ("orientation_covariance[0]", "angular_velocity_covariance[0]", "linear_acceleration_covariance[0]")
 IMU_LEAVES: Leaves = {
-    "gyro": leaves("angular_velocity", "xyz"),
-    "accel": leaves("linear_acceleration", "xyz"),
-    "q": leaves("orientation", "wxyz"),
+    "gyro": list_leaves("angular_velocity", "xyz"),
+    "accel": list_leaves("linear_acceleration", "xyz"),
+    "q": list_leaves("orientation", "wxyz"),
     "covariances": _COVARIANCES,
 }
-MAG_LEAVES: Leaves = {"mag": leaves("magnetic_field", "xyz")}
+MAG_LEAVES: Leaves = {"mag": list_leaves("magnetic_field", "xyz")}
 GPS_LEAVES: Leaves = {"fix": ("latitude", "longitude", "altitude", "status.status")}
 
 
@@ -114,7 +114,7 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
             way = ", inverted" if options.truth_inverse else ""
             log.add_conversion(f"truth {options.truth_frame.upper()} -> East-North-Up{way}")
 
-    sha256 = digests(bag.files, source.parent if source.is_file() else source)
+    sha256 = hash_files(bag.files, source.parent if source.is_file() else source)
     estimates: tuple[Estimate, ...] = ()
     if device is not None:
         source_name = f"orientation of {imu_topics[0]}"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadRecording, BadSource, StillpointError
 from stillpoint.datasets.files.scratch import ScratchStore
 from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.files import hash_files
 from stillpoint.datasets.importers.imported import LEAST_NORM, make_device_estimate
 from stillpoint.datasets.importers.long_recording import Collector, LongRecording, NotInPiecesError
 from stillpoint.datasets.importers.ros import (
@@ -89,7 +89,7 @@ class _Reader:
             raise NotInPiecesError
         for line in self._found.conversions:
             self._log.add_conversion(line)
-        sha256 = digests(self._bag.files, self._source.parent if self._source.is_file() else self._source)
+        sha256 = hash_files(self._bag.files, self._source.parent if self._source.is_file() else self._source)
         estimate = self._make_estimate(sha256)
         long = self._found.close(f"ROS bag {self._source.name}", str(self._source), sha256, self._log)
         if estimate is None:

@@ -14,7 +14,7 @@ from stillpoint.datasets.importers.ros_frames import keep_frame, list_names, str
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, sort_by_time
 from stillpoint.datasets.mcap.reader import Log as McapLog
 from stillpoint.datasets.recording import Floats, Times, Truth
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
 TF_LIST = "transforms"
@@ -24,22 +24,25 @@ _LEAST_NORM = 0.5  # of a quaternion; drivers write zeros where they know no att
 _DEEPEST = 64  # frames of a chain; a longer one goes in a circle
 
 
-def leaves(prefix: str, names: str) -> tuple[str, ...]:
+def list_leaves(prefix: str, names: str) -> tuple[str, ...]:
     """Return the names of the components of a vector or a quaternion in a message."""
     return tuple(f"{prefix}.{name}" for name in names)
 
 
 def _list_pose_leaves(prefix: str) -> Leaves:
-    return {"q": leaves(f"{prefix}.orientation", "wxyz"), "position": leaves(f"{prefix}.position", "xyz")}
+    return {"q": list_leaves(f"{prefix}.orientation", "wxyz"), "position": list_leaves(f"{prefix}.position", "xyz")}
 
 
-TRANSFORM: Leaves = {"q": leaves("transform.rotation", "wxyz"), "position": leaves("transform.translation", "xyz")}
+TRANSFORM: Leaves = {
+    "q": list_leaves("transform.rotation", "wxyz"),
+    "position": list_leaves("transform.translation", "xyz"),
+}
 POSES: dict[str, Leaves] = {
     "geometry_msgs/msg/PoseStamped": _list_pose_leaves("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _list_pose_leaves("pose.pose"),
     ODOMETRY: _list_pose_leaves("pose.pose"),
     "geometry_msgs/msg/TransformStamped": TRANSFORM,
-    "geometry_msgs/msg/QuaternionStamped": {"q": leaves("quaternion", "wxyz")},
+    "geometry_msgs/msg/QuaternionStamped": {"q": list_leaves("quaternion", "wxyz")},
     **dict.fromkeys(TF, TRANSFORM),
 }
 
@@ -224,7 +227,7 @@ def _has_neighbours(t_ns: Times, at_ns: Times) -> NDArray[np.bool_]:
     after = np.searchsorted(t_ns, at_ns)
     inside = (after > 0) & (after < len(t_ns))
     close = np.zeros(len(at_ns), dtype=np.bool_)
-    close[inside] = (t_ns[after[inside]] - t_ns[after[inside] - 1]) <= longest_step_ns(t_ns)
+    close[inside] = (t_ns[after[inside]] - t_ns[after[inside] - 1]) <= find_longest_step_ns(t_ns)
     return np.asarray(close | np.isin(at_ns, t_ns), dtype=np.bool_)
 
 

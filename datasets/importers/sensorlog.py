@@ -17,7 +17,7 @@ from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.delimited import Table
 from stillpoint.datasets.importers.delimited_log import read_table
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
-from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.files import hash_files
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_imu, sort_by_time
@@ -67,7 +67,7 @@ def read_sensorlog(file: Path, options: SensorLogOptions) -> Imported:
     imu = merge_imu(gyro, accel, str(file), log)
     mag, uncalibrated = _read_mag(table, options, log)
     gps = _read_gps(table, gyro, log)
-    sha256 = digests([file], file.parent)
+    sha256 = hash_files([file], file.parent)
     attitude = _read(table, _MOTION_TIME, "motionQuaternion{}(R)", "WXYZ", "attitude", log)
     estimates: tuple[Estimate, ...] = ()
     if attitude is not None:

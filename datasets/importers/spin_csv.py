@@ -26,14 +26,14 @@ from stillpoint.datasets.importers.delimited_log import (
     read_toml,
     shift_to_zero,
 )
-from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.files import hash_files
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
-from stillpoint.datasets.spin import bench, five_accelerometers
+from stillpoint.datasets.spin import bench, make_five_accelerometers
 
-_PRESETS = {"bench": bench, "five": five_accelerometers}
+_PRESETS = {"bench": bench, "five": make_five_accelerometers}
 _COLUMNS = {
     "bench": ("F4_mps2,F5_mps2:m/s^2", None),
     "five": ("F1_mps2,F2_mps2,F3_mps2,F4_mps2,F5_mps2:m/s^2", "g1_degps,g2_degps:deg/s"),
@@ -123,7 +123,7 @@ def read_spin(file: Path, options: SpinOptions) -> Imported:
     both, k = streams["spin"], len(geometry.accel_r_b_m)
     spin = Spin(both.t_ns, both.values[:, :k], both.values[:, k:], geometry)
     encoder = _make_encoder(streams.get("angle"), streams.get("rate"), log, table.where)
-    info = make_info(f"delimited log {file.name}", options, spin.t_ns, digests([file], file.parent), log)
+    info = make_info(f"delimited log {file.name}", options, spin.t_ns, hash_files([file], file.parent), log)
     return Imported(Recording(file.stem, spin=spin, encoder=encoder, info=info))
 
 

@@ -16,7 +16,7 @@ from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import from_xyzw, quaternion
 from stillpoint.datasets.importers.arrays import to_floats
-from stillpoint.datasets.importers.files import digests, find_folders, read_text, reading
+from stillpoint.datasets.importers.files import find_folders, hash_files, read_text, reading
 from stillpoint.datasets.importers.imported import Imported, make_device_estimate
 from stillpoint.datasets.importers.matlab import load_mat
 from stillpoint.datasets.importers.options import TyrexOptions
@@ -113,7 +113,7 @@ def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
         place_lat_lon_alt=_GRENOBLE,
         mag_uncalibrated=raw,
         units_unchecked=options.units_unchecked,
-        sha256=digests(used, folder.parent.parent),
+        sha256=hash_files(used, folder.parent.parent),
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
         extra={"north": "true", "platform": "iOS" if ios else "Android", **_describe_motion(folder.name)},
@@ -129,7 +129,7 @@ def _read_device(folder: Path, ios: bool, boot_s: float, log: Log) -> tuple[Esti
         return ()
     series = _read_series(folder, name, boot_s, "attitude of the phone", log, width=5)
     q_nb = series.values if ios else from_xyzw(series.values)
-    used = digests([folder / name], folder.parent.parent)
+    used = hash_files([folder / name], folder.parent.parent)
     return make_device_estimate(series.t_ns, q_nb, folder.name, name, used, log)
 
 

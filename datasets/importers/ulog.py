@@ -18,7 +18,7 @@ from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
 from stillpoint.datasets.importers.columns import FIELD
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
-from stillpoint.datasets.importers.files import digests, reading, require_existing
+from stillpoint.datasets.importers.files import hash_files, reading, require_existing
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import (
@@ -61,7 +61,7 @@ def read_ulog(file: Path, options: OwnOptions) -> Imported:
         imu = _read_imu(file, data, log)
         mag, uncalibrated = _read_mag(data, options, log)
         gps, date = _read_gps(data, log)
-        sha256 = digests([file], file.parent)
+        sha256 = hash_files([file], file.parent)
         estimates: tuple[Estimate, ...] = ()
         if (attitude := _read_vectors(data, "vehicle_attitude", "q", 4)) is not None:
             attitude = sort_by_time(drop_incomplete_rows(attitude, "vehicle_attitude", log), "vehicle_attitude", log)

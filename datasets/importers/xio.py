@@ -15,7 +15,7 @@ from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
 from stillpoint.datasets.importers.delimited import Table
 from stillpoint.datasets.importers.delimited_log import read_table
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
-from stillpoint.datasets.importers.files import digests, find_folders
+from stillpoint.datasets.importers.files import find_folders, hash_files
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
@@ -84,7 +84,7 @@ def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported
     if file.is_file():
         attitude = _read_columns(read_table(file, ",", log), device, tuple("WXYZ"), "attitude", log)
         files.append(file)
-    sha256 = digests(dict.fromkeys(files), folder)
+    sha256 = hash_files(dict.fromkeys(files), folder)
     if file.is_file():
         estimates = read_device_attitude(attitude, imu, device.inverse, folder.name, device.attitude, sha256, log)
     info = make_info(

@@ -56,7 +56,7 @@ def _load_typestore() -> Any:
 
 
 @lru_cache(maxsize=64)
-def definition(type_name: str) -> str:
+def get_definition(type_name: str) -> str:
     """Return the full concatenated ros2msg text of a common type, such as ``sensor_msgs/msg/Imu``."""
     return str(_load_typestore().generate_msgdef(type_name, ros_version=2)[0])
 
@@ -92,7 +92,7 @@ def _find_common_definition(name: str, wire: str) -> str:
     return str(store.generate_msgdef(name, ros_version=1 if wire == "ros1" else 2)[0])
 
 
-def layout_of(message_type: MessageType, body: bytes) -> Layout:
+def find_layout(message_type: MessageType, body: bytes) -> Layout:
     """Return the layout that fits this message; raises :class:`Undecodable` for cut bytes and for other encodings."""
     ros1 = message_type.encoding == "ros1"
     if not ros1 and (len(body) < _ENCAPSULATION or body[0] != 0 or body[1] not in (0, 1)):
@@ -110,7 +110,7 @@ def layout_of(message_type: MessageType, body: bytes) -> Layout:
     return layout if ros1 else Layout(layout.dtype, ((0, body[:2]), *layout.words))
 
 
-def layout_for(message_type: MessageType, lengths: Mapping[str, int]) -> Layout:
+def make_layout(message_type: MessageType, lengths: Mapping[str, int]) -> Layout:
     """Return the little-endian layout of a message to be written; lengths of strings include their NUL."""
     layout = _Walk("<", lambda leaf, _, empty: lengths.get(leaf, empty)).layout(message_type)
     return Layout(layout.dtype, ((0, b"\0\1"), *layout.words))

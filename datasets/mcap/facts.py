@@ -22,7 +22,7 @@ KINDS: dict[str, type[Kept]] = {
 _NOT_FINITE = "__float__"  # JSON has no nan and no infinity: {"__float__": "nan"}
 
 
-def kind_of(thing: Kept) -> str:
+def get_kind(thing: Kept) -> str:
     """Return the name of its kind in files."""
     for kind, of_kind in KINDS.items():
         if isinstance(thing, of_kind):
@@ -30,10 +30,10 @@ def kind_of(thing: Kept) -> str:
     raise TypeError(f"{type(thing).__name__} is not one of {', '.join(of_kind.__name__ for of_kind in KINDS.values())}")
 
 
-def facts_of(thing: Kept) -> dict[str, Any]:
+def collect_facts(thing: Kept) -> dict[str, Any]:
     """Return everything that is not a column of a topic."""
     if isinstance(thing, Recording):
-        return recording_facts(thing.head, thing.spin, thing.extra)
+        return collect_recording_facts(thing.head, thing.spin, thing.extra)
     in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
     facts: dict[str, Any] = {name: value for name, value in _list_fields(thing).items() if name not in in_topics}
     if isinstance(thing, Reference):
@@ -42,7 +42,7 @@ def facts_of(thing: Kept) -> dict[str, Any]:
     return facts
 
 
-def recording_facts(head: Head, spin: Spin | None, extra: Mapping[str, Series]) -> dict[str, Any]:
+def collect_recording_facts(head: Head, spin: Spin | None, extra: Mapping[str, Series]) -> dict[str, Any]:
     """Return everything of a recording that is not a column of a topic, and the facts of its streams."""
     labels = {name: list(series.labels) for name, series in extra.items()}
     return {
@@ -54,7 +54,7 @@ def recording_facts(head: Head, spin: Spin | None, extra: Mapping[str, Series]) 
     }
 
 
-def info_from(facts: Mapping[str, Any]) -> Info:
+def parse_info(facts: Mapping[str, Any]) -> Info:
     """Return the :class:`Info` of a recording's facts."""
     info: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in facts["info"].items()
@@ -72,7 +72,7 @@ def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
     return SpinGeometry(**geometry)
 
 
-def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
+def parse_reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of a :class:`Reference` that its facts hold."""
     calibration: dict[str, Any] = {
         name: np.array(value, np.float64) if isinstance(value, list) else value

@@ -281,7 +281,7 @@ class _Gather:
         view = self.views.get(size)
         while len(rows):
             if view is None:
-                layout = cdr.layout_of(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :])
+                layout = cdr.find_layout(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :])
                 view = _View(layout, self.columns)
             fits = view.fits(records)
             if fits.all():

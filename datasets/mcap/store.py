@@ -22,12 +22,12 @@ from stillpoint.datasets.files.remote import hash_file
 from stillpoint.datasets.mcap.facts import (
     KINDS,
     Kept,
-    facts_of,
+    collect_facts,
+    collect_recording_facts,
     from_json,
-    info_from,
-    kind_of,
-    recording_facts,
-    reference_facts,
+    get_kind,
+    parse_info,
+    parse_reference_facts,
     spin_geometry_from,
     to_json,
 )
@@ -38,9 +38,9 @@ from stillpoint.datasets.mcap.topics import (
     MAG_REMAINDER,
     TOPICS,
     Topic,
-    extra_topic,
-    microtesla,
-    tesla,
+    make_extra_topic,
+    to_microtesla,
+    to_tesla,
 )
 from stillpoint.datasets.mcap.writer import ZSTD_LEVEL, MessageWriter, Stream, open_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Head, Imu, Info, Mag, Piece, Recording, Series, Spin, Truth
@@ -74,14 +74,14 @@ def write(
     record of its own, which :func:`read_origin` returns. Raises :class:`BadFile` when the file cannot
     be written, :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
-    kind = kind_of(thing)
+    kind = get_kind(thing)
     streams, absent = _make_templates(kind, thing)
     samples = _count_samples(kind, thing, [stream.topic for stream in streams])
     streams = [stream for stream in streams if samples.get(stream.topic)]
     level = ZSTD_LEVEL if kind == "recording" else _TRAJECTORY_LEVEL
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", level) as out:
         out.declare(streams)
-        record = _record(kind, facts_of(thing), samples, absent)
+        record = _record(kind, collect_facts(thing), samples, absent)
         out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, attachments or {})
         for piece, until_ns in _cut_pieces(thing):
             out.add(_make_streams(kind, piece)[0], until_ns)
@@ -110,7 +110,7 @@ def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Pie
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
         out.declare(streams)
         out.describe(
-            {RECORD: _record("recording", recording_facts(head, first.get("spin"), extra), samples, absent)}, {}
+            {RECORD: _record("recording", collect_recording_facts(head, first.get("spin"), extra), samples, absent)}, {}
         )
         for piece in pieces():
             last_ns = max(int(t_ns[-1]) for _, t_ns in piece.streams())
@@ -128,12 +128,12 @@ def write_trajectory_pieces(
     The bytes are those of :func:`write`, whose ``origin`` and errors this function has.
     """
     first = next(pieces)
-    kind = kind_of(first)
+    kind = get_kind(first)
     streams, absent = _make_templates(kind, first)
     counts = {stream.topic: samples for stream in streams}
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL) as out:
         out.declare(streams)
-        record = _record(kind, facts_of(first), counts, absent)
+        record = _record(kind, collect_facts(first), counts, absent)
         out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, {})
         for piece in chain([first], pieces):
             for part, _ in _cut_pieces(piece):
@@ -174,7 +174,7 @@ def _count_samples(kind: str, thing: Kept | Piece, topics: Sequence[str]) -> dic
             assert isinstance(thing, Recording | Piece)
             assert thing.mag is not None
             count = sum(
-                int((tesla(thing.mag.mag_b_ut[first : first + _ROWS_AT_ONCE])[1] != 0).any(axis=1).sum())
+                int((to_tesla(thing.mag.mag_b_ut[first : first + _ROWS_AT_ONCE])[1] != 0).any(axis=1).sum())
                 for first in range(0, len(thing.mag.t_ns), _ROWS_AT_ONCE)
             )
         elif isinstance(thing, Recording | Piece):
@@ -239,7 +239,7 @@ class TrajectoryWriter:
 
     def add(self, piece: Reference | SpinReference | Estimate) -> None:
         """Write the samples of a piece, which come after those before; its facts do not matter yet."""
-        streams, _ = _make_streams(kind_of(piece), piece)
+        streams, _ = _make_streams(get_kind(piece), piece)
         if not self._samples:
             self._out.declare(streams)
         for stream in streams:
@@ -251,9 +251,9 @@ class TrajectoryWriter:
 
         Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
         """
-        kind = kind_of(last)
+        kind = get_kind(last)
         _, absent = _make_streams(kind, last)
-        record = _record(kind, facts_of(last), self._samples, absent)
+        record = _record(kind, collect_facts(last), self._samples, absent)
         self._out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, {})
 
 
@@ -292,19 +292,19 @@ class RecordingWriter:
         self._out.describe({RECORD: self._make_record(head)}, {})
 
     def _make_record(self, head: Head) -> dict[str, str]:
-        facts = recording_facts(head, self._first.spin, self._first.extra)
+        facts = collect_recording_facts(head, self._first.spin, self._first.extra)
         return _record("recording", facts, self._samples, self._absent)
 
 
-def contents_of(thing: Kept) -> tuple[list[Stream], dict[str, str]]:
+def make_contents(thing: Kept) -> tuple[list[Stream], dict[str, str]]:
     """Return the messages of a file, and its metadata record ``stillpoint``.
 
     Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
-    kind = kind_of(thing)
+    kind = get_kind(thing)
     streams, absent = _make_streams(kind, thing)
     samples = {stream.topic: len(stream.t_ns) for stream in streams}
-    return streams, _record(kind, facts_of(thing), samples, absent)
+    return streams, _record(kind, collect_facts(thing), samples, absent)
 
 
 def _record(kind: str, facts: Mapping[str, Any], samples: Mapping[str, int], absent: Sequence[str]) -> dict[str, str]:
@@ -415,7 +415,7 @@ def is_own_file(path: Path | str) -> bool:
         return True
 
 
-def provenance(path: Path | str) -> Provenance:
+def read_provenance(path: Path | str) -> Provenance:
     """Return what a file says about itself; all its checksums are tested. Raises :class:`BadFile`."""
     log = survey(path)
     kind, facts = open_facts(log)
@@ -455,19 +455,19 @@ def _make_streams(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[st
         if all(given[column.field] is None for column in topic.columns if not column.derived):
             continue
         if topic.stream == "mag":
-            given["mag_b_ut"] = tesla(given["mag_b_ut"])[0]
+            given["mag_b_ut"] = to_tesla(given["mag_b_ut"])[0]
         absent += [f"{topic.name} {name}" for name, values in given.items() if values is None]
         streams.append(_make_stream(topic, holder.t_ns, given))
     for name, series in thing.extra.items() if isinstance(thing, Recording | Piece) else ():
-        streams.append(_make_stream(extra_topic(name, series.labels), series.t_ns, {"values": series.values}))
+        streams.append(_make_stream(make_extra_topic(name, series.labels), series.t_ns, {"values": series.values}))
     return streams, absent
 
 
 def _find_mag_remainder(topic: Topic, mag: Mag | None) -> list[Stream]:
-    """Return the rows whose microtesla are no double in tesla times a million; see :func:`topics.tesla`."""
+    """Return the rows whose microtesla are no double in tesla times a million; see :func:`topics.to_tesla`."""
     if mag is None:
         return []
-    remainder = tesla(mag.mag_b_ut)[1]
+    remainder = to_tesla(mag.mag_b_ut)[1]
     rows = (remainder != 0).any(axis=1)
     return [_make_stream(topic, mag.t_ns[rows], {"remainder_b_ut": remainder[rows]})] if rows.any() else []
 
@@ -587,7 +587,7 @@ def make_streams(log: Log, facts: Mapping[str, Any], absent: Sequence[str]) -> t
 
 def make_info(log: Log, facts: Mapping[str, Any], samples: Mapping[str, int], units_unchecked: bool) -> Info:
     """Return the provenance of a recording, with a note about what is lost of a file that was cut."""
-    info = info_from(facts)
+    info = parse_info(facts)
     if log.lost:
         less = [
             f"{name} {log.counts.get(name, 0)} of {count}"
@@ -603,7 +603,7 @@ def _make_mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str
     """Return stamps and field (N, 3) in µT, exactly as written: tesla and, where it exists, their remainder."""
     t_ns, field_t = tesla_columns["t_ns"], tesla_columns["mag_b_ut"]
     if remainder is None:
-        return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t)}
+        return {"t_ns": t_ns, "mag_b_ut": to_microtesla(field_t)}
     rest = np.full_like(field_t, -0.0)
     known = remainder["t_ns"] <= t_ns[-1]  # a cut file may end between the two topics
     rows = np.searchsorted(t_ns, remainder["t_ns"][known])
@@ -612,13 +612,13 @@ def _make_mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str
             f"{log.path}: {MAG_REMAINDER} has times that the magnetometer does not have; write the file again"
         )
     rest[rows] = remainder["remainder_b_ut"][known]
-    return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t, rest)}
+    return {"t_ns": t_ns, "mag_b_ut": to_microtesla(field_t, rest)}
 
 
 def make_trajectory(log: Log, kind: str, facts: Mapping[str, Any], absent: Sequence[str]) -> Kept:
     """Return the reference or estimate that facts and the messages of a log make."""
     columns = _join_columns(log, kind, absent)[""]
-    keywords = reference_facts(facts) if kind == "reference" else dict(facts)
+    keywords = parse_reference_facts(facts) if kind == "reference" else dict(facts)
     return KINDS[kind](**columns, **keywords)
 
 
@@ -627,4 +627,4 @@ def _require_kind(path: Path | str, wanted: type[OneKind], thing: Kept) -> OneKi
     if isinstance(thing, wanted):
         return thing
     needed = next(kind for kind, of_kind in KINDS.items() if of_kind is wanted)
-    raise BadFile(f"{path}: holds one {kind_of(thing)}; this needs one {needed}")
+    raise BadFile(f"{path}: holds one {get_kind(thing)}; this needs one {needed}")

@@ -81,7 +81,7 @@ MAG_FIELD, MAG_REMAINDER = "/imu/mag", "/imu/mag_remainder"
 EXTRA = "/extra/"  # before the name of a series of Recording.extra; their columns are in the facts
 
 
-def extra_topic(name: str, labels: Sequence[str]) -> Topic:
+def make_extra_topic(name: str, labels: Sequence[str]) -> Topic:
     """Return the topic of one series of ``Recording.extra``."""
     return Topic(
         "recording", f"extra {name}", f"{EXTRA}{name}", _ARRAY, f"one number each: {', '.join(labels)}",
@@ -254,7 +254,7 @@ TOPICS: tuple[Topic, ...] = (
 )  # fmt: skip
 
 
-def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def to_tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return microtesla (N, 3) as tesla, and the microtesla minus tesla × 10⁶ (N, 3).
 
     Doubles are spaced more widely on one side of a power of two than on the other, so about one value in thirty has
@@ -270,6 +270,8 @@ def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return best, np.where(back == mag_b_ut, -0.0, mag_b_ut - back)
 
 
-def microtesla(field_t: NDArray[np.float64], remainder_ut: NDArray[np.float64] | float = -0.0) -> NDArray[np.float64]:
-    """Return the inverse of :func:`tesla`, bit for bit."""
+def to_microtesla(
+    field_t: NDArray[np.float64], remainder_ut: NDArray[np.float64] | float = -0.0
+) -> NDArray[np.float64]:
+    """Return the inverse of :func:`to_tesla`, bit for bit."""
     return field_t * UT_PER_TESLA + remainder_ut

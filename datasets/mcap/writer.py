@@ -191,8 +191,8 @@ class _Messages:
                 lengths[leaf] = value  # of a sequence of messages or strings
         for leaf, column in stream.columns.items():
             lengths[leaf] = column.shape[1] if column.ndim > 1 else 1
-        message_type = cdr.parse(stream.type_name, "ros2msg", cdr.definition(stream.type_name))
-        layout = cdr.layout_for(message_type, lengths)
+        message_type = cdr.parse(stream.type_name, "ros2msg", cdr.get_definition(stream.type_name))
+        layout = cdr.make_layout(message_type, lengths)
         dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
         blank = np.zeros(1, dtype)
         blank["opcode"], blank["length"] = Opcode.MESSAGE, dtype.itemsize - RECORD_HEAD.itemsize
@@ -579,7 +579,7 @@ def _make_declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Ch
     channels = []
     for k, stream in enumerate(streams):
         if stream.type_name not in schemas:
-            text = cdr.definition(stream.type_name).encode()
+            text = cdr.get_definition(stream.type_name).encode()
             schemas[stream.type_name] = Schema(
                 id=len(schemas) + 1, name=stream.type_name, encoding="ros2msg", data=text
             )

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any
 
-from stillpoint.datasets.earth import Place, magnetic_field_n_ut, normal_gravity_mps2
+from stillpoint.datasets.earth import Place, compute_magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.recording import Info, Recording
 from stillpoint.datasets.simulate.measure import World, draw_sample_times, measure_imu, measure_mag, sample_truth
 from stillpoint.datasets.simulate.path import Motion
@@ -29,7 +29,7 @@ class Scene:
     def world(self) -> World:
         """Return gravity and magnetic field at the scene."""
         gravity_mps2 = normal_gravity_mps2(self.place[0], self.place[2])
-        return World(self.start_ns, gravity_mps2, magnetic_field_n_ut(self.place, self.date))
+        return World(self.start_ns, gravity_mps2, compute_magnetic_field_n_ut(self.place, self.date))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.earth import Place, geodetic
+from stillpoint.datasets.earth import Place, to_geodetic
 from stillpoint.datasets.recording import Floats, Gps
 from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.measure import Samples, draw_gauss_markov
@@ -30,7 +30,7 @@ def measure_gps(path: Motion, gps: GpsModel, at: Samples, origin: Place, seed: i
     velocity_n[:, :2] += rng.standard_normal((len(place_n), 2)) * gps.velocity_sd_mps
     wander = draw_gauss_markov(gps.position_sd_m, gps.position_time_s, at.step_s, len(place_n), seed, "gps")
     valid = receives(place_n[:, 2], gps, at.step_s)
-    lat_deg, lon_deg, alt_m = (np.where(valid, column, np.nan) for column in geodetic(place_n + wander, origin))
+    lat_deg, lon_deg, alt_m = (np.where(valid, column, np.nan) for column in to_geodetic(place_n + wander, origin))
     course = np.mod(np.arctan2(velocity_n[:, 0], velocity_n[:, 1]), 2 * np.pi)
     speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
     course, speed = np.where(valid, course, np.nan), np.where(valid, speed, np.nan)

@@ -15,15 +15,15 @@ from stillpoint.datasets.simulate.spin_path import (
     Flight,
     Motor,
     SpinPath,
-    braking_b_mps2,
-    coning_radps,
-    constant_motor,
-    decaying_spin,
+    compute_braking_b_mps2,
+    compute_coning_radps,
+    compute_constant_speed,
+    compute_decaying_speed,
+    compute_variable_speed,
     make_path,
-    variable_motor,
 )
 from stillpoint.datasets.simulate.spin_sensor import EncoderModel, SpinAccel, SpinSensor
-from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, find_saturated, specific_force
+from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, compute_specific_force, find_saturated
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,11 @@ class Scenario:
     flight: Flight | None = None  # None: on a motor's shaft
 
 
-CONSTANT = Scenario(Motor(constant_motor, ripple_degps=5.0), BENCH)
-VARIABLE = Scenario(Motor(variable_motor, ripple_degps=1.5), BENCH)
-FLIGHT = Scenario(Motor(decaying_spin, ripple_degps=0.0, once_per_turn_degps=0.0), FIVE_ACCELEROMETERS, Flight())
+CONSTANT = Scenario(Motor(compute_constant_speed, ripple_degps=5.0), BENCH)
+VARIABLE = Scenario(Motor(compute_variable_speed, ripple_degps=1.5), BENCH)
+FLIGHT = Scenario(
+    Motor(compute_decaying_speed, ripple_degps=0.0, once_per_turn_degps=0.0), FIVE_ACCELEROMETERS, Flight()
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,8 @@ def _compute_motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Fl
     rate[:, 0], accel[:, 0] = path.rate_radps(t_s), path.accel_radps2(t_s)
     if scenario.flight is None:
         return _Motion(t_s, angle, rate, accel, _compute_gravity_b_mps2(angle, np.deg2rad(tilt_deg)))
-    rate[:, 1:], accel[:, 1:] = coning_radps(scenario.flight, path, t_s)
-    return _Motion(t_s, angle, rate, accel, braking_b_mps2(scenario.flight, path, t_s))
+    rate[:, 1:], accel[:, 1:] = compute_coning_radps(scenario.flight, path, t_s)
+    return _Motion(t_s, angle, rate, accel, compute_braking_b_mps2(scenario.flight, path, t_s))
 
 
 def _compute_gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
@@ -130,7 +132,7 @@ def _measure_accelerometer(
     sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * STANDARD_GRAVITY_MPS2 / 1e3}
     error = {what: make_generator(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
     arm = stated_arm_m * (1 + error["arm"])
-    ideal = specific_force(arm, motion.centre_b_mps2, motion.rate_radps, motion.accel_radps2) @ axis
+    ideal = compute_specific_force(arm, motion.centre_b_mps2, motion.rate_radps, motion.accel_radps2) @ axis
     felt = (ideal + _shake_motor(part, motion, seed, name)) * (1 + error["scale"]) + error["bias"] + part.offset_mps2
     felt += part.noise_mps2 * make_generator(seed, f"spin/{name}/noise").standard_normal(len(felt))
     spoilt, glitches = _draw_glitches(part, motion.t_s, seed, f"spin/{name}")

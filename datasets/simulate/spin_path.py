@@ -63,18 +63,18 @@ class SpinPath:
         return np.asarray(changing - drive_radps**2 * self.ripple * np.sin(at))
 
 
-def constant_motor(t_s: Floats) -> Floats:
+def compute_constant_speed(t_s: Floats) -> Floats:
     """Return the constant speed of Asghari et al. (2018), section 4.1: 2020 deg/s."""
     return np.full(len(t_s), 2020.0)
 
 
-def variable_motor(t_s: Floats) -> Floats:
+def compute_variable_speed(t_s: Floats) -> Floats:
     """Return slow changes between 1500 and 2100 deg/s, as in figure 18; after 60 s the profile runs back, and so on."""
     known = PchipInterpolator([0, 8, 18, 26, 38, 48, 60], [1550, 1550, 2080, 2080, 1520, 1900, 1900])
     return np.asarray(known(60 - np.abs(np.mod(t_s, 120) - 60)))
 
 
-def decaying_spin(t_s: Floats) -> Floats:
+def compute_decaying_speed(t_s: Floats) -> Floats:
     """Return the spin of a projectile that air slows: 2050 deg/s, half of it lost in 90 s."""
     return np.asarray(2050 * 0.5 ** (t_s / 90))
 
@@ -100,7 +100,7 @@ def _draw_wander(time_s: float, count: int, seed: int) -> Floats:
     return np.asarray(twice * np.sqrt((1 - keep**2) ** 3 / (1 + keep**2)))
 
 
-def coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, Floats]:
+def compute_coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, Floats]:
     """Return the rates about y and z (N, 2) and their derivatives (N, 2)."""
     size = np.deg2rad(flight.coning_degps) * np.exp(-t_s / flight.decay_s)
     at, speed = flight.coning_ratio * path.drive_rad(t_s), flight.coning_ratio * path.drive_rad(t_s, 1)
@@ -109,7 +109,7 @@ def coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, F
     return rate, np.asarray(-rate / flight.decay_s + (size * speed)[:, None] * across)
 
 
-def braking_b_mps2(flight: Flight, path: SpinPath, t_s: Floats) -> Floats:
+def compute_braking_b_mps2(flight: Flight, path: SpinPath, t_s: Floats) -> Floats:
     """Return the specific force at the centre in flight (N, 3): drag along -x, lift across."""
     decay, at = np.exp(-t_s / flight.decay_s), flight.coning_ratio * path.drive_rad(t_s)
     lift = flight.lift_mps2 * decay

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 
 _LEVELS = 65534  # values of a 16-bit integer beside 0, which stands for "no value"
 LOWEST_DEG = 1e-3  # smaller errors are drawn as this on a logarithmic axis
@@ -114,4 +114,4 @@ def encode_curve(curve: Curve, scale: Literal["log", "linear"] = "linear") -> di
 def _find_times_in_gaps(t_ns: Times, t_s: Floats, at_s: Floats) -> np.ndarray:
     """Return which of the times lie between two samples with a gap between them."""
     after = np.clip(np.searchsorted(t_s, at_s), 1, max(len(t_s) - 1, 1))
-    return np.asarray((t_s[after % len(t_s)] - t_s[after - 1]) * 1e9 > longest_step_ns(t_ns))
+    return np.asarray((t_s[after % len(t_s)] - t_s[after - 1]) * 1e9 > find_longest_step_ns(t_ns))

@@ -15,10 +15,10 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from stillpoint.datasets.frames import EulerFrame, euler, rotation
 from stillpoint.datasets.names import make_drawable
 from stillpoint.datasets.recording import Floats, Times, Truth
-from stillpoint.datasets.times import longest_step_ns
-from stillpoint.datasets.trajectory import Reference, total_sd_rad
+from stillpoint.datasets.times import find_longest_step_ns
+from stillpoint.datasets.trajectory import Reference, compute_total_sd_rad
 from stillpoint.scoring.compare import Comparison, name_of
-from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.scoring.errors import compute_attitude_error, compute_rotation_error_n
 from stillpoint.scoring.report.plot_data import find_rest_spans
 from stillpoint.scoring.score import Score
 
@@ -67,7 +67,7 @@ def make_view(comparisons: Sequence[Comparison], truth: Reference | Truth, frame
 def draw_angles(axes: Sequence[Axes], view: View) -> None:
     """Draw roll, pitch and yaw over time, one of the three axes each, with the truth on top of the estimates."""
     for k, c in enumerate(view.comparisons):
-        error_rad = float(attitude_error(c.q_est, c.q_true).total_rad.mean())
+        error_rad = float(compute_attitude_error(c.q_est, c.q_true).total_rad.mean())
         on_top_of_worse = 3 - error_rad / np.pi
         style = {"label": make_drawable(c.estimated), "color": get_colour(k), "lw": 1.0, "zorder": on_top_of_worse}
         _draw_angle_lines(axes, view, c.t_ns, c.q_est, **style)
@@ -82,11 +82,11 @@ def draw_angles(axes: Sequence[Axes], view: View) -> None:
 
 def draw_errors(axes: Sequence[Axes], view: View) -> None:
     """Draw the total error over time, one axes per estimate; the grey floor is the reference's standard deviation."""
-    worst = max(float(attitude_error(c.q_est, c.q_true).total_rad.max()) for c in view.comparisons)
+    worst = max(float(compute_attitude_error(c.q_est, c.q_true).total_rad.max()) for c in view.comparisons)
     for k, (ax, comparison) in enumerate(zip(axes, view.comparisons, strict=True)):
         shown = view.select(comparison.t_ns)
         t_ns = comparison.t_ns[shown]
-        total = attitude_error(comparison.q_est[shown], comparison.q_true[shown]).total_rad
+        total = compute_attitude_error(comparison.q_est[shown], comparison.q_true[shown]).total_rad
         _draw_series(
             ax, view, t_ns, np.maximum(np.rad2deg(total), _SMALLEST_ERROR_DEG), np.inf, color=get_colour(k), lw=1.0
         )
@@ -97,7 +97,7 @@ def draw_errors(axes: Sequence[Axes], view: View) -> None:
         ax.set_ylabel("deg")
         ax.set_title(make_drawable(comparison.estimated), loc="left", color=get_colour(k), fontweight="bold")
         if comparison.true_cov_b_rad2 is not None:
-            sd = np.rad2deg(total_sd_rad(comparison.true_cov_b_rad2[shown]))
+            sd = np.rad2deg(compute_total_sd_rad(comparison.true_cov_b_rad2[shown]))
             t, floor = thin_line(view.seconds(t_ns), sd, count_columns(ax))
             ax.fill_between(t, _SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
         _format_time_axis(ax, view)
@@ -108,7 +108,7 @@ def draw_band(axes: Sequence[Axes], view: View) -> None:
     comparison = view.comparisons[0]
     shown = view.select(comparison.t_ns)
     t_ns, q_est = comparison.t_ns[shown], comparison.q_est[shown]
-    error_deg = np.rad2deg(rotation_error_n(q_est, comparison.q_true[shown]))
+    error_deg = np.rad2deg(compute_rotation_error_n(q_est, comparison.q_true[shown]))
     turn = rotation(q_est).as_matrix()
     for k, (ax, name) in enumerate(zip(axes, ("east", "north", "up"), strict=True)):
         if comparison.cov_b_rad2 is not None:
@@ -197,7 +197,7 @@ def _draw_angle_lines(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Float
 
 
 def _draw_series(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, **style: Any) -> None:
-    draw_line(ax, view.seconds(t_ns), value, longest_step_ns(t_ns) / 1e9, jump, **style)
+    draw_line(ax, view.seconds(t_ns), value, find_longest_step_ns(t_ns) / 1e9, jump, **style)
 
 
 def _format_time_axis(ax: Axes, view: View) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 
 from stillpoint.datasets.frames import EulerFrame, euler, rotation
 from stillpoint.datasets.recording import Floats, Recording, Times, Truth
-from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
-from stillpoint.scoring.compare import Comparison, moving_samples
-from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.datasets.trajectory import Estimate, Reference, compute_total_sd_rad
+from stillpoint.scoring.compare import Comparison, find_moving
+from stillpoint.scoring.errors import compute_attitude_error, compute_rotation_error_n
 from stillpoint.scoring.match import Mask
 from stillpoint.scoring.report.curves import Curve, encode_curve, reduce_angle, reduce_series
 
@@ -51,7 +51,7 @@ FIELD_PANELS = (
 
 def reduce_errors(comparison: Comparison, zero_ns: int, columns: int) -> dict[str, Curve]:
     """Return curves of the total, heading and inclination error; ``total:sd`` and so on are the judge's band."""
-    error = attitude_error(comparison.q_est, comparison.q_true)
+    error = compute_attitude_error(comparison.q_est, comparison.q_true)
     curves = {}
     for panel in ERROR_PANELS:
         size_deg = np.rad2deg(getattr(error, f"{panel.key}_rad"))
@@ -81,7 +81,7 @@ def make_recording_entry(span_s: tuple[float, float], rests_s: Floats, curves: C
 
 def find_rest_spans(truth: Reference | Truth) -> Times:
     """Return first and last stamp (R, 2) of each rest. A truth rests where it does not count as moving."""
-    return truth.rests_ns if isinstance(truth, Reference) else find_spans(~moving_samples(truth), truth.t_ns)
+    return truth.rests_ns if isinstance(truth, Reference) else find_spans(~find_moving(truth), truth.t_ns)
 
 
 def find_spans(chosen: Mask, t_ns: Times) -> Times:
@@ -131,7 +131,7 @@ def _compute_judge_sd_rad(comparison: Comparison, what: str) -> Floats:
     cov_b = comparison.true_cov_b_rad2
     assert cov_b is not None
     if what == "total":
-        return total_sd_rad(cov_b)
+        return compute_total_sd_rad(cov_b)
     to_n = rotation(comparison.q_true).as_matrix()
     variance_n = np.einsum("nij,njk,nik->ni", to_n, cov_b, to_n)
     return np.sqrt(variance_n[:, 2] if what == "heading" else variance_n[:, 0] + variance_n[:, 1])
@@ -154,7 +154,7 @@ def _make_axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, colum
     curves: Curves = {panel.key: {} for panel in _AXIS_PANELS}
     curves |= {f"{panel.key}:sd": {} for panel in _AXIS_PANELS}
     for name, comparison in comparisons.items():
-        error_deg = np.rad2deg(rotation_error_n(comparison.q_est, comparison.q_true))
+        error_deg = np.rad2deg(compute_rotation_error_n(comparison.q_est, comparison.q_true))
         for axis, panel in enumerate(_AXIS_PANELS):
             reduced = reduce_angle(comparison.t_ns, error_deg[:, axis], zero_ns, columns)
             curves[panel.key][name] = encode_curve(reduced)

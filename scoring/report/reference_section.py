@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.trajectory import Calibration, Reference, total_sd_rad
+from stillpoint.datasets.trajectory import Calibration, Reference, compute_total_sd_rad
 from stillpoint.scoring.compare import name_of
 
 
@@ -23,7 +23,7 @@ def describe_reference(reference: Reference) -> dict[str, Any]:
 def _list_facts(reference: Reference) -> dict[str, str]:
     """Return facts about a reference by their titles, as text."""
     diagnostics = reference.diagnostics
-    sd_deg = np.rad2deg(total_sd_rad(reference.cov_b_rad2))
+    sd_deg = np.rad2deg(compute_total_sd_rad(reference.cov_b_rad2))
     rested_s = float(np.diff(reference.rests_ns, axis=1).sum()) / 1e9
     accepted = sum(back.accepted for back in reference.returns)
     facts = {

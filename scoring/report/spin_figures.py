@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.names import make_drawable
 from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import find_longest_step_ns
 from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import REST_GREY, count_columns, draw_line, get_colour, thin_line
 from stillpoint.scoring.spin import SpinComparison
@@ -79,7 +79,7 @@ def draw_accelerometers(axes: Sequence[Axes], spin: Spin) -> None:
 
 
 def _draw_series(ax: Axes, t_ns: Times, t_s: Floats, value: Floats, **style: Any) -> None:
-    draw_line(ax, t_s, value, longest_step_ns(t_ns) / 1e9, **style)
+    draw_line(ax, t_s, value, find_longest_step_ns(t_ns) / 1e9, **style)
 
 
 def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, int], against: str = "truth") -> None:

@@ -19,9 +19,9 @@ from stillpoint.scoring.spin import (
     AngleZero,
     SpinComparison,
     SpinScore,
+    choose_zero,
     compare_spin,
     score_spin_comparison,
-    usual_zero,
 )
 
 
@@ -62,7 +62,7 @@ def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[S
         if truth is None or not judged:
             continue
         comparisons = tuple(
-            compare_spin(thing, truth, zero or usual_zero(thing, truth, name), name) for thing in judged
+            compare_spin(thing, truth, zero or choose_zero(thing, truth, name), name) for thing in judged
         )
         scores = tuple(score_spin_comparison(c) for c in comparisons)
         verdicts.append(SpinVerdict(comparisons[0].against, truth, comparisons, scores))

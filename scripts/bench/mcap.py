@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.mcap.cdr import definition
+from stillpoint.datasets.mcap.cdr import get_definition
 from stillpoint.datasets.mcap.store import read, write
 from stillpoint.datasets.mcap.topics import IMU, MAG, POSE, UT_PER_TESLA
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Truth
@@ -128,7 +128,7 @@ class Peer:
         zeros, upright = [0.0] * 9, SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
         with path.open("wb") as file:
             writer = self.writer(file)
-            schemas = [writer.register_msgdef(name, definition(name)) for name in (IMU, MAG, POSE)]
+            schemas = [writer.register_msgdef(name, get_definition(name)) for name in (IMU, MAG, POSE)]
             for k, t in enumerate(imu.t_ns.tolist()):
                 header = {"stamp": {"sec": t // 10**9, "nanosec": t % 10**9}, "frame_id": "imu_link"}
                 orientation = dict(zip("wxyz", q_nb[k], strict=True))

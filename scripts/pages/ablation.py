@@ -17,7 +17,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, score
 from stillpoint.scoring.score import Score
 from stillpoint.scripts.shared.flags import LOCAL
-from stillpoint.scripts.shared.inputs import recordings
+from stillpoint.scripts.shared.inputs import find_recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother.attitude.evidence import gather_evidence
@@ -78,7 +78,7 @@ def main(*folders: Path) -> None:
     if not folders:
         raise BadParameter("ablation: name folders of recordings with truth")
     for folder in folders:
-        sources = recordings([folder])
+        sources = find_recordings([folder])
         rows = [(variant.name, _score_variant(variant, sources)) for variant in VARIANTS]
         for align in _ALIGNMENTS:
             print(f"\n{folder.name}, {len(sources)} recordings, aligned: {align}\n")

@@ -17,14 +17,14 @@ from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.filters import ESTIMATORS
 from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import Whole, Workers
-from stillpoint.scripts.shared.inputs import recordings
+from stillpoint.scripts.shared.inputs import find_recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.program import run_program
 from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, Summary, Table, leaderboard
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.sources import survey_sources
-from stillpoint.studies.tune import ParamRange, Sampler, Tuning, tune, tuning_toml
+from stillpoint.studies.tune import ParamRange, Sampler, Tuning, format_tuning, tune
 
 _PAGE = Path("docs/estimator-accuracy.md")
 _INPUTS = {"calibrated": "reference", "raw": "none"}
@@ -61,7 +61,7 @@ SEARCHES: dict[str, _Search] = {
 
 def main(folder: Path, out: Path, jobs: Whole = 1, page: Path = _PAGE, names: Sequence[str] = tuple(SEARCHES)) -> None:
     """Tune on half A, quote on half B, and rewrite the tables of the page."""
-    files = recordings([folder])
+    files = find_recordings([folder])
     sources = [source for source in survey_sources(files, ResultStore(out / "sources")) if source.truth]
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
@@ -89,7 +89,7 @@ def main(folder: Path, out: Path, jobs: Whole = 1, page: Path = _PAGE, names: Se
                 workers=jobs,
                 run_jobs=run,
             )
-            write_text(out / kind / f"{name}-tuned.toml", tuning_toml(tunings[name]))
+            write_text(out / kind / f"{name}-tuned.toml", format_tuning(tunings[name]))
             print_line(f"{kind}, {name}: {tunings[name].best.params}", flush=True)
         labels = [each for name in names for each in (name, f"{name}@{out / kind / name}-tuned.toml")]
         _, uncalibrated_b = split_halves([source for source in sources if source not in usable])

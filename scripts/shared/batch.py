@@ -11,7 +11,7 @@ from stillpoint.scripts.shared.output import STDOUT, write_json
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 
 
-def assignments(pairs: Sequence[str] | None, example: str) -> dict[str, str]:
+def parse_assignments(pairs: Sequence[str] | None, example: str) -> dict[str, str]:
     """Read texts NAME=VALUE as ``{name: value}``; raises :class:`BadParameter` with the example for another text."""
     changes = {}
     for pair in pairs or ():

@@ -18,7 +18,7 @@ from typing import Any
 from distributed import Client, Future, Worker, WorkerPlugin, as_completed, get_worker
 
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.datasets.files.result_store import product_version
+from stillpoint.datasets.files.result_store import get_product_version
 from stillpoint.scripts.shared.children import (
     Child,
     Item,
@@ -52,7 +52,7 @@ class _Children(WorkerPlugin):
         self._lock = threading.Lock()
         self._idle: list[Child] = []
         self._all: set[Child] = set()
-        here = product_version()
+        here = get_product_version()
         self._problem = (
             f"the worker {worker.address} runs stillpoint {here}, and this is {self._version}; install the same on both"
             if here != self._version
@@ -105,7 +105,7 @@ def run_on_cluster(
     surroundings = Surroundings(workers.memory_limit, os.getcwd(), environment)
     client = _connect(workers.scheduler)
     try:
-        client.register_plugin(_Children(pickle.dumps(function), surroundings, product_version()), name=name)
+        client.register_plugin(_Children(pickle.dumps(function), surroundings, get_product_version()), name=name)
         if not client.nthreads():
             print_line(f"stillpoint: {workers.scheduler} has no worker yet; waiting for one", sys.stderr)
         yield from _gather(client, items, name, workers.scheduler)

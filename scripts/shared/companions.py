@@ -8,28 +8,28 @@ from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.remote import is_url, list_files
-from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, kind_of
+from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, get_kind
 
 
-def recording_name(path: Path) -> str:
+def get_recording_name(path: Path) -> str:
     """Return NAME of the file of an estimate or a recording, and NAME or NAME.METHOD of a reference."""
-    name = path.name.removesuffix(KINDS.get(kind_of(path), SUFFIX))
-    return name.rpartition(".")[0] if kind_of(path) == "estimate" else name
+    name = path.name.removesuffix(KINDS.get(get_kind(path), SUFFIX))
+    return name.rpartition(".")[0] if get_kind(path) == "estimate" else name
 
 
-def files_of(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
+def select_files(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
     """Return the references or estimates of the recording NAME among these files, sorted by METHOD or ESTIMATOR."""
     suffix = KINDS[kind]
     found = []
     for file in files:
         label = file.name.removesuffix(suffix).removeprefix(name)
-        ours = kind_of(file) == kind and file.name.startswith(name)
+        ours = get_kind(file) == kind and file.name.startswith(name)
         if ours and (label == "" or (label[0] == "." and "." not in label[1:])):
             found.append((label, file))
     return [file for _, file in sorted(found)]
 
 
-def neighbours(path: Path) -> list[Path]:
+def list_neighbours(path: Path) -> list[Path]:
     """Return all MCAP files in the same folder."""
     if is_url(path):
         return [file for file in list_files(path.parent, SUFFIX) if file.parent == path.parent]

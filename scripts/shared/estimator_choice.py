@@ -10,7 +10,7 @@ from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.front.sources import make_front
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ATTITUDES, SPINS, Peer, SpinEstimator, find_estimator
-from stillpoint.scripts.shared.batch import assignments
+from stillpoint.scripts.shared.batch import parse_assignments
 from stillpoint.scripts.shared.flags import split_names
 
 EXAMPLE = "cf.omega0_radps=0.3"
@@ -61,7 +61,7 @@ def _parse_names(estimators: str) -> list[str]:
 def _parse_settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return settings by what they are of: an estimator, the source of the heading, the sensors' ranges."""
     settings: dict[str, dict[str, Any]] = {name: {} for name in (*names, _HEADING, _RANGE)}
-    for path, value in assignments(set_, EXAMPLE).items():
+    for path, value in parse_assignments(set_, EXAMPLE).items():
         owner, dot, name = path.partition(".")
         if not dot:
             raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {EXAMPLE}")

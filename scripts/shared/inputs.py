@@ -29,7 +29,7 @@ _A = {
 Thing = TypeVar("Thing")
 
 
-def kind_of(path: Path) -> str:
+def get_kind(path: Path) -> str:
     """Return ``"recording"``, ``"reference"``, ``"estimate"`` or ``"calibration"``, by the name of an MCAP file."""
     return next((kind for kind, suffix in KINDS.items() if path.name.endswith(suffix)), RECORDING)
 
@@ -43,22 +43,22 @@ def is_of_spin(path: Path) -> bool:
     return "spin" in streams and "imu" not in streams
 
 
-def recordings(paths: Iterable[str | Path]) -> list[Path]:
+def find_recordings(paths: Iterable[str | Path]) -> list[Path]:
     """Return MCAP files that are no reference and no estimate; raises :class:`BadParameter` when there is none."""
     return _select_kind(paths, RECORDING)
 
 
-def references(paths: Iterable[str | Path]) -> list[Path]:
+def find_references(paths: Iterable[str | Path]) -> list[Path]:
     """Return files ``*.reference.mcap``; raises :class:`BadParameter` when there is none."""
     return _select_kind(paths, "reference")
 
 
-def estimates(paths: Iterable[str | Path]) -> list[Path]:
+def find_estimates(paths: Iterable[str | Path]) -> list[Path]:
     """Return files ``*.estimate.mcap``; raises :class:`BadParameter` when there is none."""
     return _select_kind(paths, "estimate")
 
 
-def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
+def find_mcap_files(paths: Iterable[str | Path]) -> list[Path]:
     """Return MCAP files of every kind, each once, in the order of ``paths`` and sorted within a folder or glob.
 
     A folder stands for all MCAP files in it and below. Raises :class:`BadParameter` for a path that is not there,
@@ -67,7 +67,7 @@ def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
     return list(dict.fromkeys(file for path in paths for file in _expand_path(Path(path))))
 
 
-def output_dir(path: str | Path) -> Path:
+def make_output_dir(path: str | Path) -> Path:
     """Return the folder to write into, made when it is not there; raises :class:`BadParameter` when that cannot be."""
     folder = Path(path)
     try:
@@ -79,7 +79,7 @@ def output_dir(path: str | Path) -> Path:
     return folder
 
 
-def folder_for(source: Path, out: Path | None) -> Path:
+def choose_folder(source: Path, out: Path | None) -> Path:
     """Return the folder for what is made of a file: ``out``, or the file's own folder when that is None."""
     return source.parent if out is None else out
 
@@ -90,13 +90,13 @@ def _select_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
     if not named:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
     files = [path for path in named if file_exists(path) and path.name.endswith(SUFFIX)]
-    others = [path for path in files if kind_of(path) != kind]
+    others = [path for path in files if get_kind(path) != kind]
     if others and len(others) == len(files):
-        raise BadParameter(f"{others[0]}: is {_A[kind_of(others[0])]} by its name; give {_A[kind]}")
+        raise BadParameter(f"{others[0]}: is {_A[get_kind(others[0])]} by its name; give {_A[kind]}")
     if others:  # a shell makes them of run/*.mcap
-        kinds = " and ".join(sorted({f"{kind_of(path)}s" for path in others}))
+        kinds = " and ".join(sorted({f"{get_kind(path)}s" for path in others}))
         print_line(f"{len(others)} {kinds} among the named files are left out", file=sys.stderr)
-    found = [file for file in mcap_files(named) if kind_of(file) == kind]
+    found = [file for file in find_mcap_files(named) if get_kind(file) == kind]
     if not found:
         wanted = KINDS.get(kind, SUFFIX)
         raise BadParameter(f"{', '.join(map(str, named))}: holds no {kind} (*{wanted})")

@@ -83,7 +83,7 @@ def run_jobs(
     return outcomes
 
 
-def exit_code(outcomes: Sequence[Outcome[Any]]) -> int:
+def choose_exit_code(outcomes: Sequence[Outcome[Any]]) -> int:
     """Return 1 when an outcome is a defect of stillpoint, 2 when one is another error, else 0."""
     if any(outcome.defect for outcome in outcomes):
         return 1

@@ -21,7 +21,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadFile, StillpointError
 from stillpoint.datasets.files.remote import is_url
-from stillpoint.datasets.files.result_store import ResultStore, hash_code, key_of, product_version
+from stillpoint.datasets.files.result_store import ResultStore, get_product_version, hash_code, make_key
 from stillpoint.datasets.mcap.facts import from_json, to_json
 from stillpoint.datasets.mcap.store import read_origin, sha256
 from stillpoint.scripts.shared.children import Item, Outcome, Result
@@ -224,8 +224,8 @@ def _describe_origins(
             origins.append({})
             continue
         settings = {name: asdict(one) if _is_settings(one) else one for name, one in plan.settings.items()}
-        key = key_of(verb=what, inputs=inputs, settings=settings, code=code, peers=peers)
-        record = {"verb": what, "key": key, "version": product_version()}
+        key = make_key(verb=what, inputs=inputs, settings=settings, code=code, peers=peers)
+        record = {"verb": what, "key": key, "version": get_product_version()}
         origins.append({**record, "inputs": to_json(dict(inputs)), "settings": to_json(settings)})
     return origins
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from stillpoint.datasets.calibration.apply import SensorCalibration, calibration_of, load_calibration
+from stillpoint.datasets.calibration.apply import SensorCalibration, get_calibration, load_calibration
 from stillpoint.datasets.mcap.store import read_recording, read_reference
 from stillpoint.datasets.recording import Info, Recording, Times
 from stillpoint.scripts.shared.output import print_line
@@ -64,7 +64,7 @@ def find_calibration(
             return load_calibration(file)
     from stillpoint.smoother import attitude_reference
 
-    return calibration_of(replace(attitude_reference(recording), made_from={source.name: sha256}))
+    return get_calibration(replace(attitude_reference(recording), made_from={source.name: sha256}))
 
 
 @cache

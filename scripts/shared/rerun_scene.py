@@ -14,7 +14,7 @@ from stillpoint.datasets.frames import euler, rotation, to_xyzw, wrap
 from stillpoint.datasets.mcap.facts import Kept
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
 from stillpoint.datasets.times import is_inside
-from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, compute_total_sd_rad
 
 _TIMELINE = "time"
 _AXIS_LENGTH = 0.5
@@ -139,7 +139,7 @@ def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov
     turn = rotation(q_nb).as_matrix()
     variance = np.einsum("nij,njk,nik->ni", turn, cov_b_rad2, turn)
     _show_lines(scene, _SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
-    _show_lines(scene, _SD, name, t_ns, np.rad2deg(total_sd_rad(cov_b_rad2))[:, None])
+    _show_lines(scene, _SD, name, t_ns, np.rad2deg(compute_total_sd_rad(cov_b_rad2))[:, None])
 
 
 def _show_lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:

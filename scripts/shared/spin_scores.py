@@ -10,9 +10,9 @@ from stillpoint.datasets.mcap.store import read, read_recording, sha256
 from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, SpinScore, score_roll, usual_zero
+from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, SpinScore, choose_zero, score_roll
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.companions import get_recording_name, list_neighbours, require_same, select_files
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.tables import print_table
 
@@ -48,13 +48,13 @@ def is_spin(thing: object) -> bool:
 
 def score_spin_file(file: Path, thing: Estimate | SpinReference, against: Path | None, align: AlignKind) -> SpinScore:
     """Score one file; raises :class:`BadParameter` for an alignment that an angle does not have, or without a judge."""
-    zero = zero_of(align, str(file))
+    zero = find_zero(align, str(file))
     judge = find_spin_judge(_find_judge(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
-    return score_roll(thing, judge.truth, zero or usual_zero(thing, judge.truth, judge.name), judge.name)
+    return score_roll(thing, judge.truth, zero or choose_zero(thing, judge.truth, judge.name), judge.name)
 
 
-def zero_of(align: AlignKind, where: str) -> AngleZero | None:
+def find_zero(align: AlignKind, where: str) -> AngleZero | None:
     """Return what is subtracted from an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
     if align not in _ZEROS:
         raise BadParameter(
@@ -95,8 +95,8 @@ def print_spin_scores(scores: Sequence[SpinScore]) -> None:
 
 def _find_judge(file: Path, thing: Estimate | SpinReference) -> Path:
     """Return what judges a file when nothing was named: as for attitudes, the reference, else the recording."""
-    name = recording_name(file) if isinstance(thing, Estimate) else thing.name
-    candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
+    name = get_recording_name(file) if isinstance(thing, Estimate) else thing.name
+    candidates = select_files(name, "reference", list_neighbours(file)) if isinstance(thing, Estimate) else []
     if len(candidates) == 1:
         return candidates[0]
     if candidates:

@@ -55,7 +55,7 @@ def calibrate(
     """
     if not out.name.endswith(".toml"):
         raise BadParameter(f"--out {out}: give a name that ends in {SUFFIX}")
-    files = [file for file in inputs.mcap_files(paths) if inputs.kind_of(file) != "calibration"]
+    files = [file for file in inputs.find_mcap_files(paths) if inputs.get_kind(file) != "calibration"]
     require_several(len(files))  # before references take minutes
     outcomes = run_jobs(_make_reference, files, Workers(jobs), "calibrate")
     refused = [(outcome.error, file.name) for file, outcome in zip(files, outcomes, strict=True) if outcome.error]

@@ -15,7 +15,7 @@ from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs, Jobs, Workers
-from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import SHORT, choose_exit_code, run_jobs
 from stillpoint.scripts.shared.output import print_line
 
 
@@ -56,8 +56,8 @@ def cut(
             raise BadParameter(f"{flag} {value:g}: give seconds from 0 on")
     if from_ is not None and to is not None and to <= from_:
         raise BadParameter(f"--to {to:g}: is not after --from {from_:g}")
-    files = inputs.recordings(paths)
-    asked = _Asked(None if out is None else inputs.output_dir(out), from_, to, shortest if drop_gap else None)
+    files = inputs.find_recordings(paths)
+    asked = _Asked(None if out is None else inputs.make_output_dir(out), from_, to, shortest if drop_gap else None)
     outcomes = run_jobs(partial(_cut_file, asked=asked), files, Workers(jobs), "cut", here_up_to=SHORT)
     for outcome in outcomes:
         if outcome.error is not None and len(files) == 1 and not outcome.defect:
@@ -66,7 +66,7 @@ def cut(
             print_line(line)
         if outcome.error is not None:
             print_line(f"not cut: {outcome.error}", file=sys.stderr)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _cut_file(file: Path, asked: _Asked) -> list[str]:
     except BadRecording as error:
         raise BadFile(f"{file}: {error}") from None
     for part in parts:
-        target = inputs.folder_for(file, asked.out) / f"{part.name}.mcap"
+        target = inputs.choose_folder(file, asked.out) / f"{part.name}.mcap"
         write(target, part)
         lines.append(f"{target}: {part.duration_s:.3f} s of {recording.duration_s:.3f} s")
     return lines

@@ -19,7 +19,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring.report.page import Material, judge, make_report_html
 from stillpoint.scripts.shared.flags import OutDir, Whole
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.verbs.report import PAGE, gather_material
@@ -54,7 +54,7 @@ def demo(
     """
     with _step(f"simulate {KIND}"):
         recording = simulate(KIND, seed=seed, minutes=minutes)
-        folder = output_dir(out)
+        folder = make_output_dir(out)
         path = folder / f"{recording.name}.mcap"
         write(path, recording)
     with _step("doctor"):

@@ -22,8 +22,8 @@ from stillpoint.datasets.names import make_printable
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import LOCAL, Inputs, Workers
-from stillpoint.scripts.shared.inputs import output_dir, recordings
-from stillpoint.scripts.shared.jobs import exit_code
+from stillpoint.scripts.shared.inputs import find_recordings, make_output_dir
+from stillpoint.scripts.shared.jobs import choose_exit_code
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
@@ -102,8 +102,8 @@ def doctor(
         raise BadParameter("doctor: --repair and --out DIR belong together; give both or neither")
     where = None if place is None else parse_place(place)
     when = "" if date is None else parse_date(date)
-    sources = recordings(paths)
-    targets = {} if out is None else _choose_targets(sources, output_dir(out))
+    sources = find_recordings(paths)
+    targets = {} if out is None else _choose_targets(sources, make_output_dir(out))
     work = [_Job(source, where, when, targets.get(source), skip) for source in sources]
     console = Console(highlight=False, markup=False, soft_wrap=True, stderr=json == STDOUT)
     shown = _choose_severities(errors, single=len(sources) == 1)
@@ -128,7 +128,7 @@ def doctor(
     if len(made) > 1 and json != STDOUT:
         _print_summary(made, ("error",) if errors else ("error", "warning"))
     write_json(json, [row for diagnosis in made for row in diagnosis.rows()])
-    failed = exit_code(outcomes)
+    failed = choose_exit_code(outcomes)
     if failed == 0 and strict and not all(diagnosis.clean for diagnosis in made):
         print_line("stillpoint: doctor found errors or warnings (--strict)", file=sys.stderr)
         return 2

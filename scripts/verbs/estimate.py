@@ -84,9 +84,9 @@ def estimate(
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    sources = inputs.recordings(paths)
+    sources = inputs.find_recordings(paths)
     runs = _plan_runs(sources, estimators, partial(choose_runs, set_=set_, precision=precision, heading=heading))
-    work = _plan_jobs(runs, None if out is None else inputs.output_dir(out), calibration)
+    work = _plan_jobs(runs, None if out is None else inputs.make_output_dir(out), calibration)
     outcomes = run_kept(_make, work, _decide, workers, keeping, "estimate", dict)
     rows = [
         make_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
@@ -110,7 +110,9 @@ def _plan_runs(
 def _plan_jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str) -> list[_Job]:
     """Return one job per recording and estimator; raises :class:`BadParameter` where two would write one file."""
     work = [
-        _Job(source, inputs.folder_for(source, out) / f"{source.stem}.{run.estimator}.estimate.mcap", run, calibration)
+        _Job(
+            source, inputs.choose_folder(source, out) / f"{source.stem}.{run.estimator}.estimate.mcap", run, calibration
+        )
         for source, wanted in runs.items()
         for run in wanted
     ]

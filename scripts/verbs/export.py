@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.exporters.kml import kml_text
-from stillpoint.datasets.exporters.tables import format_csv_header, format_csv_rows, tables_of
+from stillpoint.datasets.exporters.kml import format_kml
+from stillpoint.datasets.exporters.tables import format_csv_header, format_csv_rows, make_tables
 from stillpoint.datasets.importers.trajectories import TUM_HEADER, format_tum_rows
 from stillpoint.datasets.mcap.pieces import AnyPiece, PieceReader
 from stillpoint.datasets.mcap.store import read
@@ -20,7 +20,7 @@ from stillpoint.filters.front.sources import plan_heading
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside, Workers
-from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import choose_exit_code, run_jobs
 from stillpoint.scripts.shared.output import open_text, print_line
 from stillpoint.scripts.shared.recordings import print_losses
 from stillpoint.scripts.streaming.lines import format_csv_header as format_samples_header
@@ -59,11 +59,11 @@ def export(
     jobs
         Processes; by default one per core, fewer for few files.
     """
-    files = inputs.mcap_files(paths)
+    files = inputs.find_mcap_files(paths)
     if not files:
         raise BadParameter("no input: name recordings, references or estimates as files, folders or globs")
-    folder = None if out is None else inputs.output_dir(out)
-    require_distinct(inputs.folder_for(file, folder) / file.name for file in files)
+    folder = None if out is None else inputs.make_output_dir(out)
+    require_distinct(inputs.choose_folder(file, folder) / file.name for file in files)
     outcomes = run_jobs(partial(_export_file, folder=folder, format=format), files, Workers(jobs), "export")
     if len(files) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
         raise StillpointError(outcomes[0].error)
@@ -72,7 +72,7 @@ def export(
             print_line(f"stillpoint: {outcome.error}", file=sys.stderr)
         for target in outcome.value or ():
             print_line(target)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 def _export_file(file: Path, folder: Path | None, format: Format) -> list[Path]:
@@ -81,7 +81,7 @@ def _export_file(file: Path, folder: Path | None, format: Format) -> list[Path]:
     with ExitStack() as files:
         puts: dict[Path, Callable[[str], object]] = {}
         for label, text in _FORMATS[format](file):
-            target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{_SUFFIXES[format]}"
+            target = inputs.choose_folder(file, folder) / f"{stem}{f'.{label}' if label else ''}.{_SUFFIXES[format]}"
             if target not in puts:
                 puts[target] = files.enter_context(open_text(target))
             puts[target](text)
@@ -99,7 +99,7 @@ def _list_csv(file: Path) -> Iterator[tuple[str, str]]:
     """Yield parts of the tables of a file, each with the label of its table."""
     begun: set[str] = set()
     for piece in _read_pieces(PieceReader(file)):
-        for label, table in tables_of(piece).items():
+        for label, table in make_tables(piece).items():
             if label not in begun:
                 begun.add(label)
                 yield label, format_csv_header(table)
@@ -132,7 +132,7 @@ def _list_kml(file: Path) -> Iterator[tuple[str, str]]:
     thing = read(file)
     if not isinstance(thing, Reference):
         raise BadParameter(f"{file}: is not a reference of an attitude; name one with positions, whose path KML shows")
-    yield "", kml_text(thing)
+    yield "", format_kml(thing)
 
 
 def _list_samples(file: Path) -> Iterator[tuple[str, str]]:

@@ -11,7 +11,7 @@ from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.filters.c.export import EXPORTED, CSource, export_filter
 from stillpoint.filters.table import SPINS
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.batch import assignments
+from stillpoint.scripts.shared.batch import parse_assignments
 from stillpoint.scripts.shared.estimator_choice import EXAMPLE
 from stillpoint.scripts.shared.flags import SetFlag, split_names
 from stillpoint.scripts.shared.output import print_line, write_text
@@ -50,7 +50,7 @@ def export_c(
     spins = [name for name in settings if name in SPINS]
     where = find_geometry(SpinOptions(geometry=geometry)) if spins else None
     made = [export_filter(name, params, radians(declination), where) for name, params in settings.items()]
-    folder = inputs.output_dir(out)
+    folder = inputs.make_output_dir(out)
     for one in made:
         _write(one, folder)
     print_line(f"written to {folder}: {', '.join(f'{one.stem}.h, {one.stem}.c' for one in made)}")
@@ -65,7 +65,7 @@ def _read_all_settings(estimators: str, set_: list[str] | None) -> dict[str, dic
         if name not in EXPORTED:
             raise BadParameter(f"{name}: cannot be exported to C; choose among {', '.join(EXPORTED)}")
         settings[name] = dict(read_settings(Path(file), name)[0]) if at else {}
-    for path, value in assignments(set_, EXAMPLE).items():
+    for path, value in parse_assignments(set_, EXAMPLE).items():
         owner, dot, name = path.partition(".")
         if not dot or owner not in settings:
             raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE of {', '.join(settings)}")

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.fetch import Fetched, Source, fetch_trials, find_source
 from stillpoint.scripts.shared.flags import Jobs, OutBeside
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.import_ import Flags, import_
 
@@ -55,7 +55,7 @@ def fetch(
     print_line(source.title)
     print_line(f"licence: {source.licence}")
     print_line(f"cite: {source.citation}")
-    folder = output_dir((_HERE if out is None else out) / source.name)
+    folder = make_output_dir((_HERE if out is None else out) / source.name)
     all_fetched = fetch_trials(source, chosen, folder, mirror, _print_fetched)
     new, unpinned = (sum(getattr(one, name) for one in all_fetched) for name in ("downloaded", "first_seen"))
     print_line(f"{len(all_fetched)} files of {len(chosen)} trials in {folder}, {new} of them new")

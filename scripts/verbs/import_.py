@@ -22,8 +22,8 @@ from stillpoint.datasets.mcap.parts import split_recording
 from stillpoint.datasets.mcap.store import sha256, write, write_pieces, write_trajectory_pieces
 from stillpoint.datasets.recording import Info, Recording, rate_hz
 from stillpoint.scripts.shared.flags import Jobs, OutDir, Workers, read_span
-from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.jobs import ITEMS_PER_WORKER, exit_code, run_jobs
+from stillpoint.scripts.shared.inputs import make_output_dir
+from stillpoint.scripts.shared.jobs import ITEMS_PER_WORKER, choose_exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
@@ -307,7 +307,7 @@ def import_(
     if failed and json != STDOUT:
         print_line(f"{len(failed)} not imported")
     write_json(json, [_list_facts(one) for one in kept])
-    return exit_code(outcomes) or (2 if failed else 0)
+    return choose_exit_code(outcomes) or (2 if failed else 0)
 
 
 def _find_items(importer: Importer, sources: tuple[Path, ...], failed: list[str]) -> list[tuple[Path, Path]]:
@@ -353,7 +353,7 @@ def _measure_size(path: Path) -> int:
 def _write_long(item: _Item, long: LongRecording) -> _Kept:
     """Write a long recording piece by piece, and the device's own attitude beside it."""
     name = long.head.name
-    file = output_dir(item.out) / f"{name}.mcap"
+    file = make_output_dir(item.out) / f"{name}.mcap"
     _claim(item, file)
     write_pieces(file, long.head, long.pieces)
     beside: tuple[Path, ...] = ()
@@ -385,7 +385,7 @@ def _read_item(item: _Item) -> Imported:
 def _write_imported(item: _Item, imported: Imported) -> _Kept:
     """Write a recording, and estimates of the device beside it."""
     recording = imported.recording
-    file = output_dir(item.out) / f"{recording.name}.mcap"
+    file = make_output_dir(item.out) / f"{recording.name}.mcap"
     _claim(item, file)
     write(file, recording)
     beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}

@@ -13,7 +13,7 @@ from stillpoint.datasets import BadFile
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.files.remote import is_url
-from stillpoint.datasets.mcap.facts import info_from
+from stillpoint.datasets.mcap.facts import parse_info
 from stillpoint.datasets.mcap.parts import join_streams
 from stillpoint.datasets.mcap.pieces import AnyPiece, PieceReader
 from stillpoint.datasets.mcap.summary import FileSummary, summarise
@@ -21,10 +21,10 @@ from stillpoint.datasets.recording import TRUTHS, Floats, Gps, Info, Piece, Spin
 from stillpoint.datasets.running import ClockFacts, RunningClock, ThinnedValues
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import GAP_STEPS
-from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, compute_total_sd_rad
 from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, Workers
-from stillpoint.scripts.shared.inputs import mcap_files
-from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
+from stillpoint.scripts.shared.inputs import find_mcap_files
+from stillpoint.scripts.shared.jobs import SHORT, choose_exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
@@ -72,7 +72,7 @@ def info(
     json
         Also write the facts as JSON to this file; - is the standard output.
     """
-    files = mcap_files(paths)
+    files = find_mcap_files(paths)
     outcomes = run_jobs(partial(_read_facts, full, units_unchecked), files, Workers(jobs), "info", here_up_to=SHORT)
     rows: list[dict[str, Any]] = []
     for path, outcome in zip(files, outcomes, strict=True):
@@ -86,7 +86,7 @@ def info(
         if json != STDOUT:
             _print_facts(outcome.value, columns)
     write_json(json, rows)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 def _read_facts(full: bool, units_unchecked: bool, path: Path) -> dict[str, Any]:
@@ -124,7 +124,7 @@ def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
         "summarised": f"from {summary.chunks_read} of {summary.chunks} chunks; --full counts gaps and finds rests",
     }
     if summary.kind == "recording":
-        return facts | {"rests": None} | _list_provenance(info_from(summary.facts))
+        return facts | {"rests": None} | _list_provenance(parse_info(summary.facts))
     return facts | {key: summary.facts[key] for key in ("method", "params", "made_from") if key in summary.facts}
 
 
@@ -223,7 +223,7 @@ class _Trajectory:
         if isinstance(piece, Estimate):
             self._unready += 0 if piece.ready is None else int((~piece.ready).sum())
             return
-        sd_rad = total_sd_rad(piece.cov_b_rad2) if isinstance(piece, Reference) else piece.angle_sd_rad
+        sd_rad = compute_total_sd_rad(piece.cov_b_rad2) if isinstance(piece, Reference) else piece.angle_sd_rad
         self._sd_deg.add(np.rad2deg(sd_rad))
         self._sd_max_deg = max(self._sd_max_deg, float(np.rad2deg(sd_rad).max()))
 

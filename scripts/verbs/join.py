@@ -22,8 +22,8 @@ def join(paths: Inputs, /, *, out: Annotated[Path, Parameter(name=["--out", "-o"
     out
         Folder to write NAME.mcap into; made when it is not there.
     """
-    files = inputs.recordings(paths)
+    files = inputs.find_recordings(paths)
     joined = read_parts(files)
-    target = inputs.output_dir(out) / f"{joined.name}.mcap"
+    target = inputs.make_output_dir(out) / f"{joined.name}.mcap"
     write(target, joined)
     print_line(f"{target}: {joined.duration_s:.3f} s from {len(files)} parts")

@@ -15,13 +15,13 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.batch import assignments
+from stillpoint.scripts.shared.batch import parse_assignments
 from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import LOCAL, Columns, SetFlag, Workers, split_names
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
-from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
+from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, format_study, read_study, run_study
 from stillpoint.studies.leaderboard.run import find_study_entrants
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.study import Against, map_own_file
@@ -124,7 +124,7 @@ def leaderboard(
         computed.append(len(items))
         return run_jobs(function, items, workers, what)
 
-    folder = inputs.output_dir(out)
+    folder = inputs.make_output_dir(out)
     if force:
         ResultStore(folder / RESULTS).clear()
     board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))
@@ -143,7 +143,7 @@ def leaderboard(
         what = f"index.html, runs/*.html ({len(pages.links)}), leaderboard.json, study.toml"
         print_line(f"written to {folder}: {what}")
     if paper is not None:
-        for file in write_paper(inputs.output_dir(paper), board):
+        for file in write_paper(inputs.make_output_dir(paper), board):
             print_line(file, file=sys.stderr if json == STDOUT else sys.stdout)
     return 0 if any(run.error is None for run in board.runs) else 2
 
@@ -230,19 +230,19 @@ def _make_study(
     if paths:
         names = [line.strip() for line in sys.stdin if line.strip()] if paths == ["-"] else paths
         if archive:
-            names = [str(path) for path in resolve_paths(archive, names) if inputs.kind_of(path) == inputs.RECORDING]
+            names = [str(path) for path in resolve_paths(archive, names) if inputs.get_kind(path) == inputs.RECORDING]
         base = Study(tuple(names)) if base is None else replace(base, recordings=tuple(names), sha256={})
     assert base is not None
     given: dict[str, Any] = {"against": against, "align": align}
     for name, text in (("estimators", estimators), ("calibration", calibration), ("groups", groups)):
         given[name] = None if text is None else tuple(part for part in split_names(text) if part)
     params = {name: dict(values) for name, values in base.params.items()}
-    for path, value in assignments(set_, _EXAMPLE).items():
+    for path, value in parse_assignments(set_, _EXAMPLE).items():
         owner, dot, name = path.partition(".")
         if not dot:
             raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {_EXAMPLE}")
         params.setdefault(owner, {})[name] = value
-    files = tuple(map(str, inputs.recordings(base.recordings)))
+    files = tuple(map(str, inputs.find_recordings(base.recordings)))
     changed = {name: value for name, value in given.items() if value is not None}
     return replace(base, recordings=files, params=params, **changed)
 
@@ -260,4 +260,4 @@ def _write(board: Leaderboard, folder: Path, run_pages: Mapping[str, str] | None
             name if name in ("none", "reference") else os.path.relpath(name, folder) for name in study.calibration
         ),
     )
-    write_text(folder / "study.toml", study_toml(study, board.version))
+    write_text(folder / "study.toml", format_study(study, board.version))

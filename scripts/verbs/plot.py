@@ -15,9 +15,9 @@ from stillpoint.scoring import AlignKind
 from stillpoint.scoring.report.figures import View, draw_angles, draw_errors, make_view
 from stillpoint.scoring.report.page import Material, judge
 from stillpoint.scoring.report.printed import COLUMN_IN, write_figure
-from stillpoint.scripts.shared.companions import recording_name
+from stillpoint.scripts.shared.companions import get_recording_name
 from stillpoint.scripts.shared.flags import Inputs
-from stillpoint.scripts.shared.inputs import SUFFIX, kind_of
+from stillpoint.scripts.shared.inputs import SUFFIX, get_kind
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.report import gather_material
 
@@ -155,8 +155,8 @@ def _plot_run(
 
 def _gather_material(paths: Sequence[Path]) -> Material:
     """Return a recording with all files beside it, or only with the named estimates."""
-    kinds = {kind_of(path) for path in paths}
-    names = {recording_name(path) for path in paths}
+    kinds = {get_kind(path) for path in paths}
+    names = {get_recording_name(path) for path in paths}
     if len(names) != 1 or not kinds <= {"recording", "estimate"}:
         raise BadParameter("plot: name one recording, or estimates of one recording")
     (name,) = names

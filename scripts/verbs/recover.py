@@ -9,8 +9,8 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.recover import Recovered, recover_file
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir, Workers
-from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
+from stillpoint.scripts.shared.inputs import make_output_dir
+from stillpoint.scripts.shared.jobs import SHORT, choose_exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 
@@ -31,7 +31,7 @@ def recover(paths: Inputs, /, *, out: OutDir, jobs: Jobs = None, json: JsonFile 
     json
         Also write what was kept and lost as JSON to this file; - is the standard output.
     """
-    folder = output_dir(out)
+    folder = make_output_dir(out)
     for path in paths:
         if (folder / path.name).resolve() == path.resolve():
             raise BadParameter(f"--out {out}: is the folder of {path.name} itself; name another one")
@@ -49,7 +49,7 @@ def recover(paths: Inputs, /, *, out: OutDir, jobs: Jobs = None, json: JsonFile 
             _print_recovered(target, found)
     _print_failures(rows, len(paths))
     write_json(json, rows)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 def _recover_into(folder: Path, path: Path) -> Recovered:

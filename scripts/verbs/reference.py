@@ -15,9 +15,9 @@ from stillpoint.datasets.calibration.apply import load_calibration
 from stillpoint.datasets.errors import BadParameter, Unobservable, require_known
 from stillpoint.datasets.mcap.store import sha256, write_trajectory_pieces
 from stillpoint.datasets.settings import Settings, choose_settings
-from stillpoint.datasets.trajectory import Calibration, total_sd_rad
+from stillpoint.datasets.trajectory import Calibration, compute_total_sd_rad
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.batch import assignments, make_row, report_made, require_distinct
+from stillpoint.scripts.shared.batch import make_row, parse_assignments, report_made, require_distinct
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers, split_names
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line
@@ -121,8 +121,8 @@ def reference(
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    changes = assignments(set_, "returns.tilt_gate_rad=0.02")
-    sources = inputs.recordings(paths)
+    changes = parse_assignments(set_, "returns.tilt_gate_rad=0.02")
+    sources = inputs.find_recordings(paths)
     if method is None and preset is None:
         methods = _choose_methods(sources, bool(changes))
     else:
@@ -131,7 +131,7 @@ def reference(
     settings = _choose_settings(
         list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes
     )
-    work = _plan_jobs(methods, None if out is None else inputs.output_dir(out))
+    work = _plan_jobs(methods, None if out is None else inputs.make_output_dir(out))
     known = None
     if calibration is not None:
         known = _Known(calibration.name, calibration=_read_calibration(calibration), sha256=sha256(calibration))
@@ -196,7 +196,7 @@ def _plan_jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[
     for source, names in methods.items():
         for name in names:
             label = f".{name}" if len(names) > 1 else ""
-            target = inputs.folder_for(source, out) / f"{source.stem}{label}.reference.mcap"
+            target = inputs.choose_folder(source, out) / f"{source.stem}{label}.reference.mcap"
             work.append(_Job(source, target, name))
     require_distinct(job.target for job in work)
     return work
@@ -292,7 +292,7 @@ def _describe_islands(diagnostics: Mapping[str, Any]) -> str:
 def _list_facts(made: LongReference) -> dict[str, Any]:
     """Return the facts of a reference for ``--json``: rests, returns, stated accuracy and diagnostics."""
     first = next(made.pieces())
-    sd_deg = np.rad2deg(np.concatenate([total_sd_rad(piece.cov_b_rad2) for piece in made.pieces()]))
+    sd_deg = np.rad2deg(np.concatenate([compute_total_sd_rad(piece.cov_b_rad2) for piece in made.pieces()]))
     return {
         "samples": made.samples,
         "rests": len(first.rests_ns),

@@ -16,12 +16,12 @@ from stillpoint.scoring.report.page import Material, judge, make_report_html
 from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_spin_report_html
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
-from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.companions import get_recording_name, list_neighbours, require_same, select_files
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside, Workers
-from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import choose_exit_code, run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.recordings import open_recording
-from stillpoint.scripts.shared.spin_scores import is_spin, zero_of
+from stillpoint.scripts.shared.spin_scores import find_zero, is_spin
 
 PAGE = ".report.html"
 
@@ -56,7 +56,7 @@ def report(
     jobs
         Processes; by default one per core, fewer for few recordings.
     """
-    recordings = inputs.recordings(paths)
+    recordings = inputs.find_recordings(paths)
     targets = _choose_targets(recordings, out)
     pages = [_Page(*pair) for pair in zip(recordings, targets, strict=True)]
     outcomes = run_jobs(partial(_write_page, align=align, frame=frame), pages, Workers(jobs), "report")
@@ -67,7 +67,7 @@ def report(
             print_line(page.target)
         else:
             print_line(f"no report: {outcome.error}", file=sys.stderr)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,10 @@ def gather_material(path: Path) -> Material | SpinMaterial:
     of_spin = recording.imu is None
     hashes = {path.name: sha256(path)}
     made: list[Reference | SpinReference | Estimate] = []
-    around = neighbours(path)
-    for file in (one for kind in ("reference", "estimate") for one in files_of(recording_name(path), kind, around)):
+    around = list_neighbours(path)
+    for file in (
+        one for kind in ("reference", "estimate") for one in select_files(get_recording_name(path), kind, around)
+    ):
         thing = read(file)
         if not isinstance(thing, Reference | SpinReference | Estimate):
             raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")
@@ -115,7 +117,7 @@ def _write_report(target: Path, material: Material | SpinMaterial, align: AlignK
     name = material.recording.name if material.recording is not None else target.name
     nothing = BadParameter(f"{name}: nothing to score; make estimates of it: stillpoint estimate")
     if isinstance(material, SpinMaterial):
-        spun = judge_spin(material, zero_of(align, name))
+        spun = judge_spin(material, find_zero(align, name))
         if not spun:
             raise nothing
         write_text(target, make_spin_report_html(material, spun))
@@ -141,9 +143,9 @@ def _choose_targets(recordings: Sequence[Path], out: Path | None) -> list[Path]:
     if out is not None and out.suffix == ".html":
         if len(recordings) > 1:
             raise BadParameter(f"-o {out}: {len(recordings)} recordings give as many pages; name a folder")
-        inputs.output_dir(out.parent)
+        inputs.make_output_dir(out.parent)
         return [out]
-    folder = None if out is None else inputs.output_dir(out)
-    targets = [inputs.folder_for(path, folder) / f"{recording_name(path)}{PAGE}" for path in recordings]
+    folder = None if out is None else inputs.make_output_dir(out)
+    targets = [inputs.choose_folder(path, folder) / f"{get_recording_name(path)}{PAGE}" for path in recordings]
     require_distinct(targets)
     return targets

@@ -21,9 +21,9 @@ from stillpoint.scoring import score as score_against
 from stillpoint.scoring.piecewise import ALIGN_PIECES, score_pieces
 from stillpoint.scoring.spin import SpinScore, spin_score_row
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.companions import get_recording_name, list_neighbours, require_same, select_files
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, Workers
-from stillpoint.scripts.shared.jobs import SHORT, exit_code
+from stillpoint.scripts.shared.jobs import SHORT, choose_exit_code
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.spin_scores import is_spin, print_spin_scores, score_spin_file
@@ -123,7 +123,7 @@ def score(
     outcomes = run_kept(
         partial(_score_job, asked=asked),
         work,
-        partial(_decide, asked=asked, beside=cache(neighbours)),
+        partial(_decide, asked=asked, beside=cache(list_neighbours)),
         workers,
         keeping,
         "score",
@@ -134,7 +134,7 @@ def score(
         if outcome.value is None:
             if len(work) == 1 and not outcome.defect:
                 raise StillpointError(str(outcome.error))
-            rows.append({"recording": recording_name(job.file), "file": str(job.file), "error": outcome.error})
+            rows.append({"recording": get_recording_name(job.file), "file": str(job.file), "error": outcome.error})
             continue
         found = outcome.value.score
         scores.append(found)
@@ -150,7 +150,7 @@ def score(
             if row["error"] is not None:
                 print_line(f"not scored: {row['error']}")
     write_json(json, rows)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
@@ -214,19 +214,19 @@ def _find_files(paths: Sequence[Path]) -> list[Path]:
     recordings = {path for path in paths if inputs.file_exists(path) and _is_recording(path)}
     others = [path for path in paths if path not in named | recordings]
     for path in sorted(recordings):
-        beside = files_of(recording_name(path), "estimate", neighbours(path))
+        beside = select_files(get_recording_name(path), "estimate", list_neighbours(path))
         if not beside and not others and not named:
             raise BadParameter(f"{path}: no estimate lies beside it; make one (stillpoint estimate {path})")
         others += [file for file in beside if file not in others]
-    return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
+    return [*sorted(named), *(inputs.find_estimates(others) if others or not named else [])]
 
 
 def _is_recording(path: Path) -> bool:
-    return path.suffix == inputs.SUFFIX and inputs.kind_of(path) == "recording"
+    return path.suffix == inputs.SUFFIX and inputs.get_kind(path) == "recording"
 
 
 def _is_named_alone(path: Path) -> bool:
-    return inputs.kind_of(path) == "reference" or _is_trajectory(path)
+    return inputs.get_kind(path) == "reference" or _is_trajectory(path)
 
 
 def _parse_seconds(over: str | None) -> tuple[float, ...]:
@@ -252,8 +252,8 @@ def _decide(job: _Job, asked: _Asked, beside: Callable[[Path], list[Path]]) -> D
     if isinstance(job.judge, Path):
         return Deciding((job.file, job.judge), settings)
     near = beside(job.file.parent / "*")
-    judges = files_of(recording_name(job.file), "reference", near)
-    judges += [path for path in near if inputs.kind_of(path) == inputs.RECORDING and _is_named_after(job.file, path)]
+    judges = select_files(get_recording_name(job.file), "reference", near)
+    judges += [path for path in near if inputs.get_kind(path) == inputs.RECORDING and _is_named_after(job.file, path)]
     return Deciding((job.file, *(path for path in judges if path.name != job.file.name)), settings)
 
 
@@ -323,7 +323,7 @@ def _is_trajectory(path: Path) -> bool:
     """Return whether a file holds a trajectory of another program, by its name; an MCAP file by its content."""
     if path.suffix != ".mcap":
         return path.suffix in SUFFIXES
-    return inputs.kind_of(path) == inputs.RECORDING and path.is_file() and not is_own_file(path)
+    return inputs.get_kind(path) == inputs.RECORDING and path.is_file() and not is_own_file(path)
 
 
 def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
@@ -338,11 +338,11 @@ def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
 
 def _find_judge(file: Path, thing: Estimate | Reference, kind: str | None = None) -> Path:
     """Return what judges a file: of a kind, or the reference of its recording, else the recording's truth."""
-    name = recording_name(file) if isinstance(thing, Estimate) else thing.name
+    name = get_recording_name(file) if isinstance(thing, Estimate) else thing.name
     recording = file.parent / f"{name}{inputs.SUFFIX}"
     if kind == "truth":
         return recording
-    candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
+    candidates = select_files(name, "reference", list_neighbours(file)) if isinstance(thing, Estimate) else []
     plain = [path for path in candidates if path.name == f"{name}{inputs.KINDS['reference']}"]
     if plain or len(candidates) == 1:
         return (plain or candidates)[0]

@@ -12,7 +12,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import simulate as make
 from stillpoint.scripts.shared.flags import OutDir, Whole
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 
@@ -73,7 +73,7 @@ def simulate(
     numbers = range(seed, seed + seeds)
     for number in track(numbers, "simulate", disable=seeds == 1, transient=True, console=Console(stderr=True)):
         recording = make(kind, seed=number, minutes=minutes, rate_hz=rate, sensor=sensor)
-        path = output_dir(out) / f"{recording.name}.mcap"
+        path = make_output_dir(out) / f"{recording.name}.mcap"
         write(path, recording)
         rows.append(_list_facts(path, recording))
         if json != STDOUT:

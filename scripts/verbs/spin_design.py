@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared.flags import OutDir
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.studies.rig.design import Placement, Rig, evaluate_placement, find_longest_arms, limits_m
+from stillpoint.studies.rig.design import Placement, Rig, compute_limits_m, evaluate_placement, find_longest_arms
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_both, draw_radial, draw_tangential
 
 _DESIGN_COLUMNS = (
@@ -89,7 +89,7 @@ def spin_design(
     )
     chosen = find_longest_arms(rig)
     rows = [chosen, *_list_neighbours(rig, chosen)]
-    folder = output_dir(out)
+    folder = make_output_dir(out)
     with mpl.rc_context(STYLE):
         save_figure(_draw_figure(rig, chosen), folder / "spin-design.png", dpi=DPI, metadata={"Software": None})
     facts = [asdict(rig) | asdict(one) for one in rows]
@@ -97,7 +97,7 @@ def spin_design(
     write_json(json, facts)
     if json == STDOUT:
         return
-    d1_m, d2_m = limits_m(rig)
+    d1_m, d2_m = compute_limits_m(rig)
     print_table("placements, the best that fits first", _DESIGN_COLUMNS, [[_format_row(one) for one in rows]], texts=0)
     print_line(f"F4 reads the whole range at d1 = {d1_m:.3f} m, F5 at d2 = {d2_m:.3f} m")
     print_line(f"{folder / 'spin-design.png'}, {folder / 'spin-design.json'}")

@@ -15,7 +15,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters.spin.noise import SpinParams
 from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared.flags import Inputs, OutDir
-from stillpoint.scripts.shared.inputs import output_dir, recordings
+from stillpoint.scripts.shared.inputs import find_recordings, make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
@@ -64,8 +64,8 @@ def spin_identify(
     json
         Also write the rows to this file; - is the standard output.
     """
-    found = identify_variances([open_recording(path) for path in recordings(paths)], by_truth)
-    folder = output_dir(out)
+    found = identify_variances([open_recording(path) for path in find_recordings(paths)], by_truth)
+    folder = make_output_dir(out)
     with mpl.rc_context(STYLE):
         save_figure(_draw_figure(found), folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
     facts: list[dict[str, Any]] = [asdict(one) for one in found.trials]

@@ -18,7 +18,7 @@ from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.leaderboard.study import Against
-from stillpoint.studies.tune import ParamRange, Sampler, Tuning, forget_trials, tuning_toml
+from stillpoint.studies.tune import ParamRange, Sampler, Tuning, forget_trials, format_tuning
 from stillpoint.studies.tune import tune as tune_estimator
 from stillpoint.studies.tune_figure import draw_tuning
 
@@ -95,11 +95,11 @@ def tune(
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
         return run_jobs(function, items, workers, what)
 
-    folder = inputs.output_dir(out)
+    folder = inputs.make_output_dir(out)
     if force:
         forget_trials(folder, estimator)
     tuning = tune_estimator(
-        inputs.recordings(paths),
+        inputs.find_recordings(paths),
         estimator,
         ranges,
         folder,
@@ -120,7 +120,7 @@ def tune(
     write_document(str(folder / f"{estimator}.tune.json"), tuning.to_json())
     save_figure(draw_tuning(tuning), folder / f"{estimator}.map.png", dpi=150, metadata={"Software": None})
     if save is not None:
-        write_text(save, tuning_toml(tuning))
+        write_text(save, format_tuning(tuning))
     write_document(json, tuning.to_json())
     if json != STDOUT:
         _print_tuning(tuning)

@@ -14,15 +14,15 @@ from stillpoint.filters import estimate
 from stillpoint.filters.table import SPINS
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.report.printed import save_figure
-from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual_zero
+from stillpoint.scoring.spin import SpinScore, choose_zero, score_roll, spin_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutDir, Workers, split_names
-from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import choose_exit_code, run_jobs
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_json
 from stillpoint.scripts.shared.recordings import open_recording
-from stillpoint.scripts.shared.spin_scores import find_spin_judge, print_spin_scores, zero_of
+from stillpoint.scripts.shared.spin_scores import find_spin_judge, find_zero, print_spin_scores
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.smoother import METHODS, reference
 from stillpoint.smoother.reference import SPIN_METHODS
@@ -34,9 +34,9 @@ from stillpoint.studies.validation import (
     SourceSummary,
     ValidationRow,
     check_methods,
-    default_methods,
+    list_default_methods,
+    summarise_methods,
     summarise_sources,
-    summary,
 )
 from stillpoint.studies.validation import validate as validate_recording
 
@@ -117,15 +117,17 @@ def validate(
         Also write the rows as JSON to this file; - is the standard output.
     """
     named = None if methods is None else split_names(methods)
-    sources = inputs.recordings(paths)
+    sources = inputs.find_recordings(paths)
     if fidelity:
         chosen_estimators = [] if estimators is None else split_names(estimators)
-        return _validate_fidelity(sources, chosen_estimators, named or [], align, inputs.output_dir(out), workers, json)
+        return _validate_fidelity(
+            sources, chosen_estimators, named or [], align, inputs.make_output_dir(out), workers, json
+        )
     if estimators is not None:
         raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --method")
     if all(inputs.is_of_spin(source) for source in sources):
         return _validate_spins(sources, named, align, workers, keeping, json)
-    chosen = default_methods() if named is None else check_methods(named)
+    chosen = list_default_methods() if named is None else check_methods(named)
     outcomes = run_kept(
         partial(_validate, methods=chosen, align=align),
         sources,
@@ -144,7 +146,7 @@ def validate(
     if len(reasons) == 1 and None not in reasons:
         raise StillpointError(*reasons)
     if json != STDOUT:
-        _print_results(rows, summary(rows), align, columns)
+        _print_results(rows, summarise_methods(rows), align, columns)
     if any(outcome.defect for outcome in outcomes):
         return 1
     return 0 if None in reasons else 2
@@ -168,7 +170,7 @@ def _validate_spins(
     json: JsonFile,
 ) -> int:
     """Score angle and rate by each method against the truth, else the encoder, of each recording."""
-    zero_of(align, "validate")
+    find_zero(align, "validate")
     chosen = list(dict.fromkeys(methods or SPIN_METHODS))
     for name in chosen:
         require_known(name, [*SPIN_METHODS, *SPINS], "roll reference method or estimator")
@@ -188,7 +190,7 @@ def _validate_spins(
     if json != STDOUT:
         print_spin_scores([outcome.value for outcome in outcomes if outcome.value is not None])
         print_refusals("not scored", refused)
-    return exit_code(outcomes)
+    return choose_exit_code(outcomes)
 
 
 def _decide_spin(job: tuple[Path, str], align: AlignKind) -> Deciding:
@@ -203,7 +205,7 @@ def _score_spin(task: Task[tuple[Path, str]], align: AlignKind) -> SpinScore:
     recording = open_recording(source)
     made = reference(recording, name) if name in SPIN_METHODS else estimate(recording, name)
     assert isinstance(made, SpinReference | Estimate)
-    zero = zero_of(align, source.name) or usual_zero(made, judge.truth, judge.name)
+    zero = find_zero(align, source.name) or choose_zero(made, judge.truth, judge.name)
     return score_roll(made, judge.truth, zero, judge.name)
 
 

@@ -8,9 +8,9 @@ from cyclopts import Parameter
 
 from stillpoint.datasets import read
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name
+from stillpoint.scripts.shared.companions import get_recording_name, list_neighbours, select_files
 from stillpoint.scripts.shared.flags import Inputs
-from stillpoint.scripts.shared.inputs import kind_of, mcap_files
+from stillpoint.scripts.shared.inputs import find_mcap_files, get_kind
 from stillpoint.scripts.shared.output import print_line
 
 _NEEDED = "0.41.0"  # rerun's files and columns change between versions
@@ -42,7 +42,7 @@ def view(
 
     if save is not None and not save.absolute().parent.is_dir():
         raise BadParameter(f"--save {save}: the folder does not exist; make it or name another")
-    files = mcap_files(paths)
+    files = find_mcap_files(paths)
     if not alone:
         files = _add_companions(files)
     things = [read(file) for file in files]  # all of them before a file or a window is there
@@ -59,8 +59,8 @@ def _add_companions(files: list[Path]) -> list[Path]:
     found: dict[Path, None] = {}
     for file in files:
         found[file.absolute()] = None
-        if kind_of(file) == "recording":
-            around = neighbours(file)
+        if get_kind(file) == "recording":
+            around = list_neighbours(file)
             for kind in ("reference", "estimate"):
-                found |= dict.fromkeys(files_of(recording_name(file), kind, around))
+                found |= dict.fromkeys(select_files(get_recording_name(file), kind, around))
     return list(found)

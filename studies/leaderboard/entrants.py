@@ -11,13 +11,13 @@ from typing import Any, Literal
 
 from stillpoint.datasets.errors import BadParameter, nearest
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.settings import choose_settings, names_of
+from stillpoint.datasets.settings import choose_settings, list_names
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ATTITUDES, ESTIMATORS, SPINS, Peer
 from stillpoint.studies.leaderboard.board import DEFAULTS
-from stillpoint.studies.leaderboard.files import files_of_label, read_estimate_of
-from stillpoint.studies.leaderboard.own import load_own, run_own, version_of_own
+from stillpoint.studies.leaderboard.files import find_files, read_estimate_of
+from stillpoint.studies.leaderboard.own import hash_own, load_own, run_own
 
 _ENTRY_POINTS = "stillpoint.estimators"
 _PEER_PACKAGES = {
@@ -110,11 +110,11 @@ def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, M
             settings, origin = {**settings, **params[shown]}, "set by the user"
         return replace(_make_entrant_of_table(shown, known, settings, origin), spelled=name)
     if ":" in name:
-        return Entrant(name.rpartition(":")[2], "own", name, origin=_OWN, version=version_of_own(name), slow=True)
+        return Entrant(name.rpartition(":")[2], "own", name, origin=_OWN, version=hash_own(name), slow=True)
     installed = entry_points(group=_ENTRY_POINTS, name=name)
     if installed:
         target = next(iter(installed)).value
-        return Entrant(name, "own", target, origin=_OWN, version=version_of_own(target), slow=True)
+        return Entrant(name, "own", target, origin=_OWN, version=hash_own(target), slow=True)
     if name in labels:
         return _make_entrant_of_files(name)
     if name == "device":
@@ -179,7 +179,7 @@ def read_settings(path: Path, estimator: str) -> tuple[dict[str, Any], str]:
     if content.get("estimator", estimator) != estimator:
         raise BadParameter(f"{estimator}@{path}: holds parameters of {content['estimator']}; use them with that name")
     if not isinstance(settings, dict) or not settings:
-        known = ", ".join(names_of(ESTIMATORS[estimator].params())) or "none"
+        known = ", ".join(list_names(ESTIMATORS[estimator].params())) or "none"
         raise BadParameter(f"{estimator}@{path}: has no table [params]; the parameters of {estimator} are {known}")
     return settings, str(content.get("tuned_on", f"set in {path.name}"))
 
@@ -194,7 +194,7 @@ def _make_names_distinct(entrants: Sequence[Entrant]) -> list[Entrant]:
     ]
 
 
-def default_estimators() -> list[str]:
+def list_default_estimators() -> list[str]:
     """Return the estimators of a leaderboard that names none: all of attitude whose package is installed."""
     return [
         name
@@ -203,7 +203,7 @@ def default_estimators() -> list[str]:
     ]
 
 
-def labels_beside(sources: Sequence[Path]) -> list[str]:
+def find_labels(sources: Sequence[Path]) -> list[str]:
     """Return the labels of trajectory files beside the recordings, sorted; ``device`` last."""
-    labels = {label for source in sources for label in files_of_label(source)}
+    labels = {label for source in sources for label in find_files(source)}
     return sorted(labels, key=lambda label: (label == "device", label))

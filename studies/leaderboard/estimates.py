@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
-from stillpoint.datasets.files.result_store import Result, ResultStore, key_of
+from stillpoint.datasets.files.result_store import Result, ResultStore, make_key
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate
@@ -48,7 +48,7 @@ def plan_estimate(source: Source, entrant: Entrant, calibration_file: Path | Non
         deciding["file"] = sha256(find_file(Path(source.file), entrant.target))
     if calibration_file is not None:
         deciding["calibration"] = sha256(calibration_file)
-    return EstimateJob(source, entrant, calibration_file, key_of(**deciding), store)
+    return EstimateJob(source, entrant, calibration_file, make_key(**deciding), store)
 
 
 def make_estimate(job: EstimateJob) -> None:

@@ -20,7 +20,7 @@ _EXPORTED = ("imu", "mag", "gps", "spin", "encoder", "truth", "roll_truth", "str
 _SUFFIXES = (_ESTIMATE, ".tum", ".csv", ".mcap", ".bag")  # in the order of preference
 
 
-def files_of_label(source: Path) -> dict[str, Path]:
+def find_files(source: Path) -> dict[str, Path]:
     """Return the trajectory files beside a recording ``NAME.mcap`` by their label."""
     found: dict[str, Path] = {}
     for suffix in _SUFFIXES:
@@ -31,15 +31,15 @@ def files_of_label(source: Path) -> dict[str, Path]:
     return {label: file for label, file in found.items() if label not in (*ESTIMATORS, *_EXPORTED)}
 
 
-def without_trajectories(sources: list[Path]) -> list[Path]:
+def drop_trajectories(sources: list[Path]) -> list[Path]:
     """Drop MCAP files ``NAME.LABEL.mcap`` beside ``NAME.mcap``: these are trajectories, not recordings."""
-    taken = {file.resolve() for source in sources for file in files_of_label(source).values()}
+    taken = {file.resolve() for source in sources for file in find_files(source).values()}
     return [source for source in sources if source.resolve() not in taken]
 
 
 def find_file(source: Path, label: str) -> Path:
     """Return the trajectory with this label beside a recording; raises :class:`BadRecording` when there is none."""
-    file = files_of_label(source).get(label)
+    file = find_files(source).get(label)
     if file is None:
         raise BadRecording(f"there is no file NAME.{label}.tum, .csv, .mcap or .bag beside NAME.mcap")
     return file

@@ -15,8 +15,8 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.mcap.store import read_reference
 from stillpoint.datasets.recording import Floats, Recording, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
-from stillpoint.scoring.compare import moving_samples
-from stillpoint.scoring.match import Mask, attitude_at, covariance_at, match, require_some, track
+from stillpoint.scoring.compare import find_moving
+from stillpoint.scoring.match import Mask, interpolate_attitude, interpolate_covariance, match, require_some, track
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.references import References
 from stillpoint.studies.leaderboard.study import REFERENCE
@@ -91,10 +91,10 @@ def load_judge(spec: JudgeSpec, recording: Recording, estimate: Estimate | None 
         judge = estimate
     if isinstance(judge, Estimate) or (spec.at_truth and isinstance(judge, Reference)):
         return _read_at_truth(judge, _require_truth(recording))
-    return Judge(judge, moving_samples(judge))
+    return Judge(judge, find_moving(judge))
 
 
-def covariance_n_deg2(reference: Reference) -> Floats:
+def compute_covariance_n_deg2(reference: Reference) -> Floats:
     """Return the covariance (N, 3, 3) of a reference in East-North-Up, in deg²."""
     rot = rotation(reference.q_nb).as_matrix()
     turned = rot @ reference.cov_b_rad2 @ rot.transpose(0, 2, 1)
@@ -112,11 +112,11 @@ def _read_at_truth(judge: Reference | Estimate, truth: Truth) -> Judge:
     source = track(judge)
     found = require_some(source, match(source, truth.t_ns))
     t_ns = truth.t_ns[found]
-    q_nb = attitude_at(source, t_ns)
+    q_nb = interpolate_attitude(source, t_ns)
     moving = truth.moving[found]
     if isinstance(judge, Estimate):
         return Judge(Truth(t_ns, q_nb, moving), moving)
-    cov = covariance_at(source, t_ns)
+    cov = interpolate_covariance(source, t_ns)
     assert cov is not None
     at_truth = Reference(
         t_ns=t_ns,

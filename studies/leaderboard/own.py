@@ -44,7 +44,7 @@ def load_own(target: str) -> Any:
     return getattr(module, name)
 
 
-def version_of_own(target: str) -> str:
+def hash_own(target: str) -> str:
     """Return the SHA-256 of the source file of ``FILE.py:NAME`` or ``MODULE:NAME``; checks that it can be loaded."""
     load_own(target)
     place = target.rpartition(":")[0]

@@ -19,9 +19,9 @@ from stillpoint.studies.leaderboard.verdicts import (
     LEAST_ROWS,
     PairTable,
     compare_pairs,
+    compute_judge_sd,
     find_ranks,
     find_typical_rmse,
-    judge_sd,
     merge_rows,
 )
 
@@ -76,7 +76,7 @@ class ScoredRuns:
         common = reduce(np.intersect1d, [judge.bins_ns, *(one.bins_ns for one in series)])
         error = np.stack([one.error_n_deg[np.searchsorted(one.bins_ns, common)] for one in series], axis=1)
         cov = judge.cov_n_deg2[np.searchsorted(judge.bins_ns, common)]
-        return judge_sd(error[:, :, axes], cov[:, axes][:, :, axes], common / 1e9, np.maximum(rmse_deg, 1e-6))
+        return compute_judge_sd(error[:, :, axes], cov[:, axes][:, :, axes], common / 1e9, np.maximum(rmse_deg, 1e-6))
 
 
 def build_tables(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> list[Table]:

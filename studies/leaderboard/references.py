@@ -6,8 +6,8 @@ from pathlib import Path
 
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.files.result_store import ResultStore, key_of
-from stillpoint.datasets.mcap.store import provenance, read_recording, sha256
+from stillpoint.datasets.files.result_store import ResultStore, make_key
+from stillpoint.datasets.mcap.store import read_provenance, read_recording, sha256
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 from stillpoint.studies.job_runner import JobRunner
 from stillpoint.studies.leaderboard.board import Source
@@ -44,7 +44,7 @@ def _plan_reference(source: Source, out: Path, store: ResultStore, method: str =
     """Return the job that would make the reference of a recording."""
     middle = "" if method == DEFAULT_METHOD else f".{method}"
     target = out / "references" / f"{source.recording}{middle}.reference.mcap"
-    return _ReferenceJob(source, method, target, key_of(what="reference", input=source.sha256, method=method), store)
+    return _ReferenceJob(source, method, target, make_key(what="reference", input=source.sha256, method=method), store)
 
 
 def _find_reference(job: _ReferenceJob) -> KeptReference | None:
@@ -100,11 +100,11 @@ def _read_beside(job: _ReferenceJob) -> KeptReference | None:
     if not file.is_file():
         return None
     digest = sha256(file)
-    key = key_of(what="reference beside", file=digest)
+    key = make_key(what="reference beside", file=digest)
     facts = job.store.facts(key)
     if facts is None:
         try:
-            found = provenance(file)
+            found = read_provenance(file)
         except StillpointError:
             return None
         facts = {"method": found.facts.get("method"), "made_from": list(found.facts.get("made_from", {}).values())}

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.files.result_store import ResultStore, product_version
+from stillpoint.datasets.files.result_store import ResultStore, get_product_version
 from stillpoint.datasets.recording import Recording
 from stillpoint.scoring import AlignKind
 from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source, Table
 from stillpoint.studies.leaderboard.cells import Line, has_missing, list_lines, make_estimates, plan_cells, score_cells
-from stillpoint.studies.leaderboard.entrants import Entrant, Own, default_estimators, find_entrants, labels_beside
-from stillpoint.studies.leaderboard.files import without_trajectories
+from stillpoint.studies.leaderboard.entrants import Entrant, Own, find_entrants, find_labels, list_default_estimators
+from stillpoint.studies.leaderboard.files import drop_trajectories
 from stillpoint.studies.leaderboard.judges import TRUTH, find_judge, needs_reference
 from stillpoint.studies.leaderboard.ranking import build_tables
 from stillpoint.studies.leaderboard.references import References, find_references
@@ -90,9 +90,9 @@ def find_study_entrants(study: Study, objects: Sequence[Own] = ()) -> list[Entra
 
     Raises :class:`BadParameter` for an estimator or a parameter that does not exist.
     """
-    wanted: list[str | Own] = [*study.estimators, *objects] or list(default_estimators())
-    files = without_trajectories([Path(name) for name in study.recordings])
-    return find_entrants(wanted, labels_beside(files), study.params)
+    wanted: list[str | Own] = [*study.estimators, *objects] or list(list_default_estimators())
+    files = drop_trajectories([Path(name) for name in study.recordings])
+    return find_entrants(wanted, find_labels(files), study.params)
 
 
 def run_study(
@@ -109,7 +109,7 @@ def run_study(
     """
     entrants = find_study_entrants(study, objects)
     store = ResultStore(out / RESULTS)
-    files = without_trajectories([Path(name) for name in study.recordings])
+    files = drop_trajectories([Path(name) for name in study.recordings])
     sources = survey_sources(files, store)
     _require_unchanged(study, sources)
     complete = replace(
@@ -154,7 +154,7 @@ def _compare(
         groups=tuple(table for table in groups if len(table.recordings) >= _LEAST_IN_GROUP),
         runs=tuple(runs),
         sources=tuple(sources),
-        version=product_version(),
+        version=get_product_version(),
         study=study.as_dict(),
     )
 

@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording, StillpointError
-from stillpoint.datasets.files.result_store import Result, ResultStore, key_of
+from stillpoint.datasets.files.result_store import Result, ResultStore, make_key
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, Comparison, compare, score_of
-from stillpoint.scoring.errors import rotation_error_n
+from stillpoint.scoring.errors import compute_rotation_error_n
 from stillpoint.scoring.match import Mask, match, track
 from stillpoint.scoring.report.plot_data import find_spans, reduce_errors
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.estimates import load_estimate
-from stillpoint.studies.leaderboard.judges import Judge, JudgeSpec, covariance_n_deg2, load_judge
+from stillpoint.studies.leaderboard.judges import Judge, JudgeSpec, compute_covariance_n_deg2, load_judge
 from stillpoint.studies.leaderboard.series import pack_curves
 
 _LEAST_COVERED = 0.5  # an estimate of fewer of the judged samples would take them from all others
@@ -71,7 +71,9 @@ def plan_score(
 ) -> ScoreJob:
     """Return the job with the key of its result."""
     judged = {"judge": judge.key, "at_truth": judge.at_truth, "align": align}
-    key = key_of(what="scores", input=source.sha256, **judged, entries=[(entry.label, entry.key) for entry in entries])
+    key = make_key(
+        what="scores", input=source.sha256, **judged, entries=[(entry.label, entry.key) for entry in entries]
+    )
     return ScoreJob(source, judge, align, entries, key, store)
 
 
@@ -141,7 +143,7 @@ def _score_entries(job: ScoreJob) -> list[Scored]:
 
 def judge_key(judge: JudgeSpec, score_facts: Mapping[str, Any]) -> str:
     """Return the key of the judge's covariance over the samples of a score."""
-    return key_of(what="judge", judge=judge.key, at_truth=judge.at_truth, samples=score_facts["samples_hash"])
+    return make_key(what="judge", judge=judge.key, at_truth=judge.at_truth, samples=score_facts["samples_hash"])
 
 
 def _find_coverage(job: ScoreJob, entry: Entry, material: _Material) -> Mask:
@@ -170,7 +172,7 @@ def find_common_samples(estimate_keys: Sequence[str], judge: JudgeSpec, store: R
 
 
 def _make_coverage_key(estimate_key: str, judge: JudgeSpec) -> str:
-    return key_of(what="coverage", estimate=estimate_key, judge=judge.key, at_truth=judge.at_truth)
+    return make_key(what="coverage", estimate=estimate_key, judge=judge.key, at_truth=judge.at_truth)
 
 
 def _unpack_mask(kept: Result) -> Mask:
@@ -184,7 +186,7 @@ def _unite(masks: list[Mask]) -> Mask:
 def _score_entry(job: ScoreJob, entry: Entry, common: Mask, material: _Material) -> str:
     """Score one estimate on the common samples, keep it, and return its key."""
     samples_hash = hashlib.sha256(np.packbits(common).tobytes()).hexdigest()
-    key = key_of(
+    key = make_key(
         what="score",
         estimate=entry.key,
         judge=job.judge.key,
@@ -223,7 +225,7 @@ def _list_figures(comparison: Comparison) -> dict[str, Any]:
 def _make_error_arrays(comparison: Comparison) -> dict[str, NDArray[Any]]:
     """Return the mean error vectors per bin of time, and what is drawn of the errors over time."""
     moving, zero_ns = comparison.moving, int(comparison.t_ns[0])
-    vectors = np.rad2deg(rotation_error_n(comparison.q_est[moving], comparison.q_true[moving]))
+    vectors = np.rad2deg(compute_rotation_error_n(comparison.q_est[moving], comparison.q_true[moving]))
     bins, means = _average_per_bin(comparison.t_ns[moving], vectors)
     drawn = pack_curves(reduce_errors(comparison, zero_ns, _CURVE_COLUMNS))
     rests_ns = find_spans(~moving, comparison.t_ns)
@@ -246,7 +248,7 @@ def _keep_judge(job: ScoreJob, common: Mask, material: _Material) -> None:
         return
     reference = material.judge.trajectory
     assert isinstance(reference, Reference)
-    bins, means = _average_per_bin(reference.t_ns[common], covariance_n_deg2(reference)[common].reshape(-1, 9))
+    bins, means = _average_per_bin(reference.t_ns[common], compute_covariance_n_deg2(reference)[common].reshape(-1, 9))
     job.store.put(key, {}, {"bins": bins, "cov_n_deg2": means.reshape(-1, 3, 3)})
 
 

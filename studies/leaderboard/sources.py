@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.files.result_store import ResultStore, key_of
-from stillpoint.datasets.mcap.store import provenance, sha256
+from stillpoint.datasets.files.result_store import ResultStore, make_key
+from stillpoint.datasets.mcap.store import read_provenance, sha256
 from stillpoint.studies.leaderboard.board import Source
 
 _NO_MOTION = ("all_trials", "no_breaks", "with_breaks")  # groups of BROAD that do not tell one motion from another
@@ -29,7 +29,7 @@ def _survey_one(file: Path, store: ResultStore) -> Source:
     """Return what a file says about its recording, kept by its SHA-256; an unreadable file keeps the reason."""
     try:
         digest = sha256(file)
-        key = key_of(what="source", input=digest, name=file.stem)
+        key = make_key(what="source", input=digest, name=file.stem)
         facts = store.facts(key)
         if facts is None:
             facts = _describe_file(file)
@@ -41,7 +41,7 @@ def _survey_one(file: Path, store: ResultStore) -> Source:
 
 def _describe_file(file: Path) -> dict[str, Any]:
     """Return the facts of a recording that a leaderboard needs. Raises :class:`BadParameter` for another kind."""
-    found = provenance(file)
+    found = read_provenance(file)
     if found.kind != "recording":
         raise BadParameter(f"{file}: holds one {found.kind}; give recordings")
     info = found.facts["info"]

@@ -70,7 +70,7 @@ def read_study(path: Path) -> Study:
     return Study(**given)
 
 
-def study_toml(study: Study, version: str) -> str:
+def format_study(study: Study, version: str) -> str:
     """Return the study as TOML, with the version of stillpoint that ran it."""
     lines = [
         "# stillpoint leaderboard -c study.toml -o OUT repeats this study.",

@@ -37,7 +37,7 @@ class PairTable:
     general: bool  # True: for recordings like these; False: for these recordings only
 
 
-def judge_sd(error_deg: Floats, cov_deg2: Floats, time_s: Floats, rmse_deg: Floats) -> Floats:
+def compute_judge_sd(error_deg: Floats, cov_deg2: Floats, time_s: Floats, rmse_deg: Floats) -> Floats:
     """Return how far the reference's own error may move log(RMSE_a / RMSE_b), as standard deviations (E, E).
 
     The diagonal holds the effect on log(RMSE) of one estimator alone. The part of the error that two estimates have in
@@ -69,7 +69,7 @@ def judge_sd(error_deg: Floats, cov_deg2: Floats, time_s: Floats, rmse_deg: Floa
 def find_typical_rmse(rmse_deg: Floats, judge: Floats | None = None) -> tuple[Floats, Floats, Floats]:
     """Return the geometric mean RMSE (E,) of each estimator with the ends of its 95 % interval.
 
-    ``rmse_deg`` (R, E); ``judge`` (R, E, E) from :func:`judge_sd`, or None where independent truth judged.
+    ``rmse_deg`` (R, E); ``judge`` (R, E, E) from :func:`compute_judge_sd`, or None where independent truth judged.
     """
     logs = np.log(np.maximum(rmse_deg, _LEAST_RMSE_DEG))
     n = len(logs)

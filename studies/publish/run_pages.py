@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from stillpoint.datasets.errors import BadRecording, StillpointError
 from stillpoint.datasets.files.atomic import write_atomically
-from stillpoint.datasets.files.result_store import ResultStore, key_of
+from stillpoint.datasets.files.result_store import ResultStore, make_key
 from stillpoint.datasets.mcap.store import read_recording, read_reference, sha256
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, compare, score_of
@@ -101,7 +101,7 @@ def _plan_pages(out: Path, board: Leaderboard) -> Iterator[_PageJob]:
             for against, file in judges
         )
         reference = _find_reference(out, source, judged)
-        key = key_of(
+        key = make_key(
             what="page of a recording",
             judges=[one.judge.key for one in judged],
             runs=[(run.label, run.estimate_key, run.score_key) for run in runs],

@@ -12,9 +12,12 @@ import numpy as np
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Floats, SpinGeometry
-from stillpoint.datasets.spin import bench, channels, five_accelerometers, specific_force
+from stillpoint.datasets.spin import bench, channels, compute_specific_force, make_five_accelerometers
 
-_GEOMETRIES: dict[str, Callable[[float, float, float], SpinGeometry]] = {"bench": bench, "five": five_accelerometers}
+_GEOMETRIES: dict[str, Callable[[float, float, float], SpinGeometry]] = {
+    "bench": bench,
+    "five": make_five_accelerometers,
+}
 _LENGTH_STEP_M = 0.01  # arms are chosen in whole centimetres
 
 
@@ -96,8 +99,8 @@ def _compute_range_shares(rig: Rig, geometry: SpinGeometry) -> Floats:
     Linear acceleration of the centre is not counted.
     """
     x, nothing = np.array([1.0, 0.0, 0.0]), np.zeros(3)
-    full = specific_force(geometry.accel_r_b_m, nothing, rig.fastest_radps * x, nothing)
-    start = specific_force(geometry.accel_r_b_m, nothing, nothing, rig.spin_up_radps2 * x)
+    full = compute_specific_force(geometry.accel_r_b_m, nothing, rig.fastest_radps * x, nothing)
+    start = compute_specific_force(geometry.accel_r_b_m, nothing, nothing, rig.spin_up_radps2 * x)
     felt = [np.abs(np.sum(force * geometry.accel_axis_b, axis=1)) for force in (full, start)]
     return np.maximum(*felt) / rig.range_mps2
 
@@ -125,7 +128,7 @@ def find_longest_arms(rig: Rig) -> Placement:
     return evaluate_placement(rig, *(round(float(one), 4) for one in whole))
 
 
-def limits_m(rig: Rig) -> tuple[float, float]:
+def compute_limits_m(rig: Rig) -> tuple[float, float]:
     """Return the arms d1 and d2 at which F4 and F5 read the whole range."""
     used = _compute_range_shares(rig, _GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
     return float(1 / used[0]), float(1 / used[1])

@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scoring.report.figures import COLOURS
-from stillpoint.studies.rig.design import Placement, Rig, evaluate_placement, limits_m
+from stillpoint.studies.rig.design import Placement, Rig, compute_limits_m, evaluate_placement
 from stillpoint.studies.rig.identify import Identified
 
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
@@ -24,7 +24,7 @@ _POINTS, _MAP_POINTS = 60, 30  # of a curve, and of a map in each direction
 
 def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
     """Draw the error of the rate over d1: of one sample, of the filter, and for a bias of 1 mg."""
-    limit_m = limits_m(rig)[0]
+    limit_m = compute_limits_m(rig)[0]
     arms_m = np.linspace(min(0.01, chosen.d1_m / 2), max(1.4 * limit_m, 1.2 * chosen.d1_m), _POINTS)
     found = [evaluate_placement(rig, float(arm), chosen.d2_m) for arm in arms_m]
     for values, colour, label, above in (
@@ -42,7 +42,7 @@ def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
 
 def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
     """Draw the standard deviation of the angular acceleration over d2."""
-    limit_m = limits_m(rig)[1]
+    limit_m = compute_limits_m(rig)[1]
     arms_m = np.linspace(min(0.02, chosen.d2_m / 2), max(1.2 * limit_m, 1.2 * chosen.d2_m), _POINTS)
     sds = [np.sqrt(evaluate_placement(rig, chosen.d1_m, float(arm)).q_rad2ps4) for arm in arms_m]
     ax.plot(arms_m, np.rad2deg(sds), color=COLOURS[0])
@@ -53,14 +53,14 @@ def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
 
 def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
     """Draw lines of equal error of the filtered rate over both arms; grey where range, headroom or room end."""
-    d1_m = np.linspace(min(0.02, chosen.d1_m / 2), 1.3 * limits_m(rig)[0], _MAP_POINTS)
-    d2_m = np.linspace(min(0.05, chosen.d2_m / 2), 1.2 * limits_m(rig)[1], _MAP_POINTS)
+    d1_m = np.linspace(min(0.02, chosen.d1_m / 2), 1.3 * compute_limits_m(rig)[0], _MAP_POINTS)
+    d2_m = np.linspace(min(0.05, chosen.d2_m / 2), 1.2 * compute_limits_m(rig)[1], _MAP_POINTS)
     found = [[evaluate_placement(rig, float(one), float(other)) for one in d1_m] for other in d2_m]
     sd_degps = np.rad2deg([[one.filtered_rate_sd_radps for one in row] for row in found])
     levels = np.geomspace(sd_degps.min(), sd_degps.max(), _LINES + 2)[1:-1]
     lines = ax.contour(d1_m, d2_m, sd_degps, levels=levels, colors=COLOURS[0], linewidths=0.9)
     ax.clabel(lines, fmt="%.2g", fontsize=7)
-    longest_m = [min((1 - rig.headroom) * limit_m, rig.room_m) for limit_m in limits_m(rig)]
+    longest_m = [min((1 - rig.headroom) * limit_m, rig.room_m) for limit_m in compute_limits_m(rig)]
     ax.axvspan(longest_m[0], d1_m[-1], color="0.85", lw=0, zorder=0)
     ax.axhspan(longest_m[1], d2_m[-1], color="0.85", lw=0, zorder=0)
     ax.plot(chosen.d1_m, chosen.d2_m, _CHOSEN, color=COLOURS[1])

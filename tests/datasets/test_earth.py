@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillpoint.datasets.earth import (
-    decimal_year,
+    compute_magnetic_field_n_ut,
     declination_rad,
     enu_m,
-    geodetic,
-    magnetic_field_n_ut,
     normal_gravity_mps2,
+    to_decimal_year,
+    to_geodetic,
 )
 from stillpoint.datasets.errors import BadParameter
 
@@ -46,7 +46,9 @@ NOAA = [
 def test_the_field_equals_the_values_of_noaa(date, height_km, lat, lon, north, east, down):
     place = (lat, lon, height_km * 1000.0)
     # 0.05 nT is the rounding of the published values.
-    np.testing.assert_allclose(magnetic_field_n_ut(place, date) * 1000, [east, north, -down], rtol=0, atol=0.051)
+    np.testing.assert_allclose(
+        compute_magnetic_field_n_ut(place, date) * 1000, [east, north, -down], rtol=0, atol=0.051
+    )
     assert declination_rad(place, date) == pytest.approx(np.arctan2(east, north), abs=2e-5)
 
 
@@ -57,12 +59,12 @@ def test_declination_is_east_positive():
 @pytest.mark.parametrize("date", ["2009-12-31T23:59:59", "2030-01-01", "2030-01-01T00:30:00+00:00", "1999-05-05"])
 def test_dates_outside_the_models_are_refused(date):
     with pytest.raises(BadParameter, match=date[:4]):
-        magnetic_field_n_ut((50.0, 8.0, 100.0), date)
+        compute_magnetic_field_n_ut((50.0, 8.0, 100.0), date)
 
 
 def test_the_first_and_last_moment_of_the_models_are_served():
-    magnetic_field_n_ut((50.0, 8.0, 100.0), "2010-01-01")
-    magnetic_field_n_ut((50.0, 8.0, 100.0), "2029-12-31T23:59:59")
+    compute_magnetic_field_n_ut((50.0, 8.0, 100.0), "2010-01-01")
+    compute_magnetic_field_n_ut((50.0, 8.0, 100.0), "2029-12-31T23:59:59")
 
 
 @pytest.mark.parametrize(
@@ -70,13 +72,13 @@ def test_the_first_and_last_moment_of_the_models_are_served():
 )
 def test_places_outside_the_model_are_refused(place):
     with pytest.raises(BadParameter):
-        magnetic_field_n_ut(place, "2021-06-12")
+        compute_magnetic_field_n_ut(place, "2021-06-12")
 
 
 def test_the_magnetic_pole_has_no_declination():
     # The WMM2020 north dip pole in 2021: 86.4 N, 156.8 E. The field itself is still known there.
     place = (86.4, 156.8, 0.0)
-    assert np.linalg.norm(magnetic_field_n_ut(place, "2021-01-01")) > 50
+    assert np.linalg.norm(compute_magnetic_field_n_ut(place, "2021-01-01")) > 50
     with pytest.raises(BadParameter, match="magnetic pole"):
         declination_rad(place, "2021-01-01")
 
@@ -84,13 +86,13 @@ def test_the_magnetic_pole_has_no_declination():
 @pytest.mark.parametrize("date", ["yesterday", "", "12.06.2021", "2021-13-01"])
 def test_dates_that_do_not_exist_are_refused(date):
     with pytest.raises(BadParameter, match="ISO 8601"):
-        decimal_year(date)
+        to_decimal_year(date)
 
 
 def test_decimal_year_counts_in_utc_and_knows_leap_years():
-    assert decimal_year("2020-07-02") == 2020.5  # 183 of 366 days
-    assert decimal_year("2021-01-01T01:00:00+02:00") < 2021.0
-    assert decimal_year("2021-12-31T23:00:00-02:00") > 2022.0
+    assert to_decimal_year("2020-07-02") == 2020.5  # 183 of 366 days
+    assert to_decimal_year("2021-01-01T01:00:00+02:00") < 2021.0
+    assert to_decimal_year("2021-12-31T23:00:00-02:00") > 2022.0
 
 
 @pytest.mark.parametrize(
@@ -131,7 +133,7 @@ def test_gravity_outside_its_formula_is_refused(lat_deg, height_m):
 )
 def test_local_positions_convert_there_and_back(lat, lon, offset):
     origin = (lat, lon, 300.0)
-    back = enu_m(*geodetic([offset], origin), origin)
+    back = enu_m(*to_geodetic([offset], origin), origin)
     np.testing.assert_allclose(back, [offset], atol=1e-6)
 
 

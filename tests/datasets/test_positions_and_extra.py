@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from swings import as_reference, swing
 
 from stillpoint.datasets import BadRecording, Imu, Recording, Series, read, write
-from stillpoint.datasets.exporters.tables import tables_of
+from stillpoint.datasets.exporters.tables import make_tables
 
 COLUMNS = ("position_n_m", "velocity_n_mps", "position_cov_n_m2", "velocity_cov_n_m2ps2")
 
@@ -101,7 +101,7 @@ def test_a_series_is_a_stream_with_its_own_clock():
     recording = recording_with(wheel=Series(np.array([3, 7]), np.array([1.0, 2.0]), ("speed_mps",)))
     assert dict(recording.streams())["extra wheel"].tolist() == [3, 7]
     assert recording.extra["wheel"].column("speed_mps").tolist() == [1.0, 2.0]
-    assert tables_of(recording)["extra.wheel"]["speed_mps"].tolist() == [1.0, 2.0]
+    assert make_tables(recording)["extra.wheel"]["speed_mps"].tolist() == [1.0, 2.0]
     with pytest.raises(BadRecording, match="has no column 'speed'; it has speed_mps"):
         recording.extra["wheel"].column("speed")
 

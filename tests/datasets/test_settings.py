@@ -9,7 +9,7 @@ import pytest
 
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.errors import nearest, require_known
-from stillpoint.datasets.settings import Settings, choice, choose_settings, degrees, describe, names_of, number
+from stillpoint.datasets.settings import Settings, choice, choose_settings, degrees, describe, list_names, number
 from stillpoint.filters import ESTIMATORS
 from stillpoint.smoother import METHODS
 
@@ -85,7 +85,7 @@ def test_the_constructor_checks_too(field_name, value):
 
 def test_tables_show_angles_in_degrees_and_name_every_setting():
     rows = describe(Outer())
-    assert [row.name for row in rows] == names_of(Outer()) == ["inner.window_s", "inner.gate_rad", "rule", "is_on"]
+    assert [row.name for row in rows] == list_names(Outer()) == ["inner.window_s", "inner.gate_rad", "rule", "is_on"]
     assert rows[0][1:] == ("1", "0.3 to 10", "length of the window")
     assert rows[1][1:] == ("3 deg", "0.1 to 30", "largest angle")
     assert rows[2][1:] == ("one", "one, two", "which rule")

@@ -16,11 +16,11 @@ from stillpoint.datasets.spin import (
     bench,
     channels,
     coefficients,
+    compute_specific_force,
     find_misplaced,
     find_saturated,
-    five_accelerometers,
+    make_five_accelerometers,
     measure,
-    specific_force,
 )
 
 D = np.array([0.1, 0.2, 0.3, 0.8, 0.12])  # (m/s^2)^2
@@ -36,7 +36,7 @@ def spin_of(geometry, accel, gyro=None):
 
 def feel(geometry, centre, rate, accel):
     """What the accelerometers of a geometry read, (k,)."""
-    return np.sum(specific_force(geometry.accel_r_b_m, centre, rate, accel) * geometry.accel_axis_b, axis=1)
+    return np.sum(compute_specific_force(geometry.accel_r_b_m, centre, rate, accel) * geometry.accel_axis_b, axis=1)
 
 
 @given(vectors, vectors, vectors, vectors, vectors)
@@ -56,7 +56,7 @@ def test_eq_1_is_the_second_derivative_of_the_points_place(r, turn, first, secon
     force = attitude(t).inv().apply((place(t + h) - 2 * place(t) + place(t - h)) / h**2)
     centre = attitude(t).inv().apply(6 * third * t + 2 * first)
     accel = (rate(t + h) - rate(t - h)) / (2 * h)
-    assert specific_force(r, centre, rate(t), accel) == pytest.approx(force, abs=2e-3, rel=2e-4)
+    assert compute_specific_force(r, centre, rate(t), accel) == pytest.approx(force, abs=2e-3, rel=2e-4)
 
 
 @given(vectors, vectors, vectors, vectors, vectors.filter(lambda v: np.linalg.norm(v) > 0.1))
@@ -92,7 +92,7 @@ def test_the_bench_gives_the_papers_equations():
 
 @given(vectors, vectors, vectors, st.floats(0.02, 0.3), st.floats(0.05, 0.9))
 def test_the_observations_are_exact_without_noise(centre, rate, accel, d1, d2):
-    geometry = five_accelerometers(d1, d2)
+    geometry = make_five_accelerometers(d1, d2)
     samples = measure(spin_of(geometry, feel(geometry, centre, rate, accel), rate[1:]), channels(geometry, D))
     assert samples.omega_dot_radps2[0] == pytest.approx(accel[0], abs=1e-9)
     assert samples.omega_squared_radps2[0] == pytest.approx(rate[0] ** 2, abs=1e-9)

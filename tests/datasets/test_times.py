@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillpoint.datasets.times import GAP_STEPS, find_gaps, is_inside, longest_step_ns
+from stillpoint.datasets.times import GAP_STEPS, find_gaps, find_longest_step_ns, is_inside
 
 
 def test_an_interval_is_a_gap_from_more_than_five_median_steps_on():
     t_ns = np.array([0, 10, 20, 30, 80, 90, 141, 151], dtype=np.int64)
-    assert longest_step_ns(t_ns) == GAP_STEPS * 10
+    assert find_longest_step_ns(t_ns) == GAP_STEPS * 10
     assert find_gaps(t_ns).tolist() == [False, False, False, False, False, True, False]
 
 

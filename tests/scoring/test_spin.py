@@ -14,7 +14,7 @@ from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
-from stillpoint.scoring.spin import compare_spin, score_roll, spin_score_row, usual_zero
+from stillpoint.scoring.spin import choose_zero, compare_spin, score_roll, spin_score_row
 
 T_NS = np.arange(0, 2_000_000_000, 4_000_000)
 T_S = T_NS / 1e9
@@ -72,17 +72,17 @@ def test_an_angle_from_gravity_is_judged_as_what_it_says_to_be():
     """Its first sample's error is no zero: 1 deg there and nothing after is 1 deg at one sample, not at all others."""
     reference = from_gravity(np.where(T_NS == 0, np.deg2rad(1.0), 0.0) + 4 * np.pi)
     drifting = from_gravity(0.0, "from 0 at the first sample; the angle drifts")
-    zero = usual_zero(reference, truth(), "truth")
+    zero = choose_zero(reference, truth(), "truth")
     assert zero == "turns"
     found = score_roll(reference, truth(), zero)
     assert found.angle_offset_deg == pytest.approx(720)
     assert found.angle_max_deg == pytest.approx(1.0)
     assert found.angle_nees == pytest.approx(1 / 0.4**2 / len(T_NS), rel=1e-6)
-    assert usual_zero(reference, truth(), "encoder") == "mean"  # whose zero is its index
-    assert usual_zero(reference, reference) == "turns"
-    assert usual_zero(reference, drifting) == "start"
-    assert usual_zero(drifting, truth(), "truth") == "start"
-    assert usual_zero(made(), truth(), "truth") == "start"
+    assert choose_zero(reference, truth(), "encoder") == "mean"  # whose zero is its index
+    assert choose_zero(reference, reference) == "turns"
+    assert choose_zero(reference, drifting) == "start"
+    assert choose_zero(drifting, truth(), "truth") == "start"
+    assert choose_zero(made(), truth(), "truth") == "start"
 
 
 @pytest.mark.slow

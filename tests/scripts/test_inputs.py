@@ -21,27 +21,27 @@ def names(paths: list[Path]) -> list[str]:
 
 
 def test_a_folder_is_sorted_by_kind_and_hidden_files_are_left_out(folder):
-    assert names(inputs.recordings([folder])) == ["a.mcap", "b.mcap", "c.mcap"]
-    assert names(inputs.references([folder])) == ["a.reference.mcap"]
-    assert names(inputs.estimates([folder])) == ["a.vqf.estimate.mcap"]
+    assert names(inputs.find_recordings([folder])) == ["a.mcap", "b.mcap", "c.mcap"]
+    assert names(inputs.find_references([folder])) == ["a.reference.mcap"]
+    assert names(inputs.find_estimates([folder])) == ["a.vqf.estimate.mcap"]
 
 
 def test_globs_keep_the_order_of_the_arguments_and_name_each_file_once(folder):
-    found = inputs.recordings([folder / "b.mcap", str(folder / "*.mcap"), folder])
+    found = inputs.find_recordings([folder / "b.mcap", str(folder / "*.mcap"), folder])
     assert names(found) == ["b.mcap", "a.mcap", "c.mcap"]
 
 
 def test_a_file_whose_name_holds_glob_signs_is_taken_as_it_is(folder):
     odd = folder / "run[1].mcap"
     odd.touch()
-    assert inputs.recordings([odd]) == [odd]
+    assert inputs.find_recordings([odd]) == [odd]
 
 
 def test_files_of_other_kinds_that_a_shell_makes_of_a_glob_are_left_out_and_counted(folder, capsys):
     every = sorted(folder.glob("*.mcap"))
-    assert names(inputs.recordings(every)) == [".half.mcap", "a.mcap", "b.mcap"]
+    assert names(inputs.find_recordings(every)) == [".half.mcap", "a.mcap", "b.mcap"]
     assert capsys.readouterr().err == "2 estimates and references among the named files are left out\n"
-    assert names(inputs.references(every)) == ["a.reference.mcap"]
+    assert names(inputs.find_references(every)) == ["a.reference.mcap"]
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_files_of_other_kinds_that_a_shell_makes_of_a_glob_are_left_out_and_coun
     ],
 )
 def test_each_wrong_input_gives_one_line_error_that_names_it(folder, argument, said):
-    wanted = inputs.references if argument == "deep" else inputs.recordings
+    wanted = inputs.find_references if argument == "deep" else inputs.find_recordings
     with pytest.raises(BadParameter, match=said) as caught:
         wanted([folder / argument])
     assert argument in str(caught.value)
@@ -66,12 +66,12 @@ def test_each_wrong_input_gives_one_line_error_that_names_it(folder, argument, s
 
 def test_no_argument_is_refused():
     with pytest.raises(BadParameter, match="no input"):
-        inputs.recordings([])
+        inputs.find_recordings([])
 
 
 def test_the_output_folder_is_made_and_a_file_in_its_place_is_refused(folder):
-    assert inputs.output_dir(folder / "x" / "y").is_dir()
+    assert inputs.make_output_dir(folder / "x" / "y").is_dir()
     with pytest.raises(BadParameter, match="is a file"):
-        inputs.output_dir(folder / "a.mcap")
+        inputs.make_output_dir(folder / "a.mcap")
     with pytest.raises(BadParameter, match="cannot be made"):
-        inputs.output_dir(folder / "a.mcap" / "below")
+        inputs.make_output_dir(folder / "a.mcap" / "below")

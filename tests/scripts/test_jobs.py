@@ -9,10 +9,10 @@ import pytest
 from farm_work import work
 
 from stillpoint.datasets import BadParameter
-from stillpoint.datasets.earth import decimal_year
+from stillpoint.datasets.earth import to_decimal_year
 from stillpoint.scripts.shared import jobs as jobs_module
 from stillpoint.scripts.shared.flags import LOCAL, Workers
-from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import choose_exit_code, run_jobs
 
 
 def fail_by(how: str) -> str:
@@ -30,11 +30,11 @@ def fail_by(how: str) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_and_errors_keep_the_order_of_the_inputs(jobs):
-    outcomes = run_jobs(decimal_year, ["2020-01-01", "yesterday", "2022-01-01"], Workers(jobs), "years")
+    outcomes = run_jobs(to_decimal_year, ["2020-01-01", "yesterday", "2022-01-01"], Workers(jobs), "years")
     assert [one.value for one in outcomes] == [2020.0, None, 2022.0]
     assert [one.error is None for one in outcomes] == [True, False, True]
     assert "'yesterday'" in outcomes[1].error
-    assert exit_code(outcomes) == 2
+    assert choose_exit_code(outcomes) == 2
 
 
 @pytest.mark.slow
@@ -50,7 +50,7 @@ def test_a_dead_process_and_a_defect_cost_their_own_input_only(jobs, capfd):
     assert "ZeroDivisionError: a test's division by zero (test_jobs.py:" in outcomes["defect"].error
     assert all("\n" not in one.error for one in outcomes.values() if one.error)
     assert "Traceback" in capfd.readouterr().err, "a defect of ours shows where it happened"
-    assert exit_code(list(outcomes.values())) == 1
+    assert choose_exit_code(list(outcomes.values())) == 1
 
 
 @pytest.mark.slow

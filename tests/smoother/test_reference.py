@@ -9,7 +9,7 @@ import pytest
 
 from stillpoint.datasets import BadParameter, Imu, Recording, read, write
 from stillpoint.datasets.mcap.store import sha256
-from stillpoint.datasets.settings import names_of
+from stillpoint.datasets.settings import list_names
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.pages.settings_pages import refresh_tables
 from stillpoint.smoother import METHODS, reference
@@ -58,7 +58,7 @@ def test_the_same_recording_gives_the_same_bits(recording):
 
 @pytest.mark.parametrize(
     ("method", "name"),
-    [(method, name) for method in ("graph", "redistribution") for name in names_of(METHODS[method].defaults)],
+    [(method, name) for method in ("graph", "redistribution") for name in list_names(METHODS[method].defaults)],
 )
 def test_every_setting_can_be_changed_by_its_name(method, name):
     with pytest.raises(BadParameter, match=name.rpartition(".")[2]):
@@ -199,6 +199,6 @@ def test_two_recordings_of_one_name_do_not_overwrite_each_other(call, folder, re
 def test_the_document_is_up_to_date():
     text = (Path(__file__).parents[2] / "docs" / "reference-settings.md").read_text(encoding="utf-8")
     assert refresh_tables(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
-    assert names_of(RedistributionParams())[0] in text
+    assert list_names(RedistributionParams())[0] in text
     for method in METHODS:
         assert f"| `{method}` |" in text

@@ -13,7 +13,7 @@ from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
 from stillpoint.studies import leaderboard
 from stillpoint.studies.job_runner import run_here
-from stillpoint.studies.leaderboard import Leaderboard, Study, entrants, read_study, run_study, study_toml
+from stillpoint.studies.leaderboard import Leaderboard, Study, entrants, format_study, read_study, run_study
 
 OWN = '''
 import numpy as np
@@ -287,7 +287,7 @@ def test_study_survives_its_file(tmp_path):
         groups=("slow",),
         sha256={"a": "00"},
     )
-    (tmp_path / "study.toml").write_text(study_toml(study, "1.0"))
+    (tmp_path / "study.toml").write_text(format_study(study, "1.0"))
     assert read_study(tmp_path / "study.toml") == study
 
 

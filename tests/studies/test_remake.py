@@ -14,7 +14,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.studies.remake import draw_jobs, flatten, largest_difference_rad, remake
+from stillpoint.studies.remake import compute_largest_difference_rad, draw_jobs, flatten, remake
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_what_was_asked_beside_the_parameters_is_asked_again(tmp_path):
         files.append(tmp_path / f"{name}.cf.estimate.mcap")
         write(files[-1], replace(made, made_from=parents))
     plain = estimate(recording, "cf")
-    assert min(largest_difference_rad(plain, read(file)) for file in files[2:]) > 1e-3  # each of them matters
+    assert min(compute_largest_difference_rad(plain, read(file)) for file in files[2:]) > 1e-3  # each of them matters
     with create_archive(tmp_path / "archive") as opened:
         list(opened.add(files))
         jobs, reasons = draw_jobs(opened, None, 0)
@@ -96,7 +96,7 @@ def test_a_draw_is_repeatable_and_of_the_size_asked_for(archive):
 
 def test_other_times_are_no_match(archive):
     kept = read(archive.path_of(archive.resolve("known.cf.estimate.mcap")))
-    assert largest_difference_rad(kept, replace(kept, t_ns=kept.t_ns + 1)) == np.inf
+    assert compute_largest_difference_rad(kept, replace(kept, t_ns=kept.t_ns + 1)) == np.inf
 
 
 def test_settings_in_settings_become_dotted_names():

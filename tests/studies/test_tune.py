@@ -9,7 +9,7 @@ from stillpoint.datasets import BadParameter, read, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.studies.leaderboard import leaderboard
-from stillpoint.studies.tune import ParamRange, find_left_out, tune, tuning_toml
+from stillpoint.studies.tune import ParamRange, find_left_out, format_tuning, tune
 
 optuna = pytest.importorskip("optuna")
 RANGE = ParamRange("omega0_radps", 0.05, 2.0, log=True)
@@ -84,7 +84,7 @@ def test_seconds_must_be_above_0(files, tmp_path, seconds):
 
 def test_saved_setting_is_what_the_leaderboard_runs(files, tuning, tmp_path):
     saved = tmp_path / "mine.toml"
-    saved.write_text(tuning_toml(tuning))
+    saved.write_text(format_tuning(tuning))
     board = leaderboard(files, ["cf", f"cf@{saved}"], tmp_path / "out")
     rows = {row.estimator: row for row in board.tables[0].rows}
     assert rows["cf"].parameters == "defaults"
@@ -95,7 +95,7 @@ def test_saved_setting_is_what_the_leaderboard_runs(files, tuning, tmp_path):
 
 def test_parameters_of_another_estimator_are_refused(files, tuning, tmp_path):
     saved = tmp_path / "mine.toml"
-    saved.write_text(tuning_toml(tuning))
+    saved.write_text(format_tuning(tuning))
     with pytest.raises(BadParameter, match="holds parameters of cf"):
         leaderboard(files, [f"ekf@{saved}"], tmp_path / "out")
 

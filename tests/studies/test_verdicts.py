@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stillpoint.studies.leaderboard.verdicts import compare_pairs, find_ranks, find_typical_rmse, judge_sd, merge_rows
+from stillpoint.studies.leaderboard.verdicts import (
+    compare_pairs,
+    compute_judge_sd,
+    find_ranks,
+    find_typical_rmse,
+    merge_rows,
+)
 
 
 def test_typical_rmse_is_the_geometric_mean_with_students_interval():
@@ -78,12 +84,12 @@ def test_judge_sd_matches_simulated_errors_of_the_judge():
         rmse = np.sqrt((seen**2).sum(2).mean(0))
         ratios.append(np.log(rmse[0] / rmse[1]))
     true_rmse = np.sqrt((errors**2).sum(2).mean(0))
-    stated = judge_sd(errors, np.tile(sd_deg**2 * np.eye(3), (n, 1, 1)), time_s, true_rmse)
+    stated = compute_judge_sd(errors, np.tile(sd_deg**2 * np.eye(3), (n, 1, 1)), time_s, true_rmse)
     assert stated[0, 1] == pytest.approx(np.std(ratios), rel=0.15)
 
 
 def test_common_error_cancels_in_a_pair():
     errors = np.tile(np.random.default_rng(4).normal(0, 1, (50, 1, 3)), (1, 2, 1))
-    sd = judge_sd(errors, np.tile(np.eye(3), (50, 1, 1)), np.arange(50.0), np.ones(2))
+    sd = compute_judge_sd(errors, np.tile(np.eye(3), (50, 1, 1)), np.arange(50.0), np.ones(2))
     assert sd[0, 1] == pytest.approx(0, abs=1e-6)
     assert sd[0, 0] > 0

@@ -33,7 +33,7 @@ def read_ids(words: Sequence[str]) -> list[str]:
     return found
 
 
-def entry_row(archive: Archive, entry: Entry) -> dict[str, Any]:
+def make_entry_row(archive: Archive, entry: Entry) -> dict[str, Any]:
     """Return the facts of one object for machines."""
     tags, metadata = archive.labels(entry.sha256)
     return {

@@ -9,11 +9,11 @@ from rich.text import Text
 from rich.tree import Tree
 
 from stillpoint.datasets.archive import Archive, Entry
-from stillpoint.datasets.archive.catalogue import SCORE_FIGURES, facts_in
+from stillpoint.datasets.archive.catalogue import SCORE_FIGURES, read_facts
 from stillpoint.datasets.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.archives.common import ArchiveDir, entry_row, open_named, print_entries
+from stillpoint.scripts.verbs.archives.common import ArchiveDir, make_entry_row, open_named, print_entries
 
 _DEEPEST = 20  # generations of a provenance tree that are drawn
 _WIDTH_OF_PIPES = 200  # where stdout is no terminal, nothing is folded
@@ -50,7 +50,7 @@ def find(
                 print_line(opened.path_of(entry))
         elif json != STDOUT:
             print_entries(opened, f"{len(entries)} found", entries)
-        write_json(json, [entry_row(opened, entry) for entry in entries] if json else [])
+        write_json(json, [make_entry_row(opened, entry) for entry in entries] if json else [])
 
 
 def list_(*, archive: ArchiveDir = None, json: JsonFile = None) -> None:
@@ -80,7 +80,7 @@ def show(identity: str, /, *, archive: ArchiveDir = None, json: JsonFile = None)
     """
     with open_named(archive) as opened:
         entry = opened.resolve(identity)
-        facts = facts_in(opened.catalogue.select("SELECT facts FROM objects WHERE sha256 = ?", (entry.sha256,))[0][0])
+        facts = read_facts(opened.catalogue.select("SELECT facts FROM objects WHERE sha256 = ?", (entry.sha256,))[0][0])
         streams = [
             dict(row) for row in opened.catalogue.select("SELECT * FROM streams WHERE sha256 = ?", (entry.sha256,))
         ]
@@ -91,7 +91,7 @@ def show(identity: str, /, *, archive: ArchiveDir = None, json: JsonFile = None)
         children = [
             {"kind": child.kind, "name": child.file_name, "id": child.sha256} for child in opened.children(entry.sha256)
         ]
-        row = {**entry_row(opened, entry), "streams": streams, "made_from": parents, "derived": children}
+        row = {**make_entry_row(opened, entry), "streams": streams, "made_from": parents, "derived": children}
         write_json(json, [{**row, "scores": scores, "facts": facts}])
 
 
@@ -110,7 +110,7 @@ def _find_scores(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
 
 def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]], scores: list[dict[str, Any]]) -> None:
     """Print everything about one object: facts, streams, what it was made from and what from it, and scores."""
-    row = entry_row(archive, entry)
+    row = make_entry_row(archive, entry)
     print_line(f"{entry.file_name}: {entry.kind} {entry.name}")
     for key, value in row.items():
         if key in ("kind", "name", "file_name") or value in (None, "", [], {}):

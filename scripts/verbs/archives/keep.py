@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from stillpoint.datasets.archive import create_archive
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.remote import is_url
-from stillpoint.scripts.shared.batch import assignments
+from stillpoint.scripts.shared.batch import parse_assignments
 from stillpoint.scripts.shared.flags import Inputs, read_span
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named, print_entries, read_ids
@@ -59,7 +59,7 @@ def add(
     json
         Also write what became of each file as JSON to this file; - is the standard output.
     """
-    metadata = assignments(set_, "subject=anna")
+    metadata = parse_assignments(set_, "subject=anna")
     rows: list[dict[str, Any]] = []
     with open_named(archive) as opened:
         for one in opened.add(_expand(files), tag or (), metadata):
@@ -102,7 +102,7 @@ def tag(
     set_
         Metadata, KEY=VALUE; an empty value deletes the key. The key licence counts for export.
     """
-    metadata = assignments(set_, "subject=anna")
+    metadata = parse_assignments(set_, "subject=anna")
     if not (tag or without or metadata):
         raise BadParameter("nothing to change: give --tag, --without or --set KEY=VALUE")
     with open_named(archive) as opened:

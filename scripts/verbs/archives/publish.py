@@ -20,7 +20,7 @@ from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.scripts.shared.flags import Whole, split_names
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
-from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
+from stillpoint.studies.leaderboard import Leaderboard, Study, format_study
 from stillpoint.studies.one_file import write_one_file
 from stillpoint.studies.publish.page import make_page_html
 
@@ -94,7 +94,7 @@ def _find_leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
         settings = {name: _to_tuple(value) for name, value in board.study.items() if name in known}
         paths = tuple(f"../../{recordings[one.sha256]}" for one in board.sources if one.sha256 in recordings)
         study = Study(**{**settings, "recordings": paths, "sha256": {}})
-        files[f"{stem}{STUDY_SUFFIX}"] = study_toml(study, board.version).encode()
+        files[f"{stem}{STUDY_SUFFIX}"] = format_study(study, board.version).encode()
     return files
 
 

@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIRST_ONLINE, SIMULATED, Trials
-from stillpoint.studies.papers.auv.page import COLUMNS, auv_page
+from stillpoint.studies.papers.auv.page import COLUMNS, make_auv_page
 from stillpoint.studies.papers.auv.study import (
     METHODS,
     RECORDED,
@@ -57,7 +57,7 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     trials.refuse(sea=sea)
     if online and not files and trials.seed is None:
         trials = replace(trials, seed=FIRST_ONLINE)
-    folder = output_dir(trials.out)
+    folder = make_output_dir(trials.out)
     if files:
         seas: tuple[str, ...] = (RECORDED,)
         made = trials.run(_score_file, [_File(file, online) for file in files], "recordings")
@@ -69,7 +69,7 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     name = f"auv-dolphin{'-online' if online else ''}"
     page = folder / f"{name}.experiment.html"
     words = ["stillpoint experiment auv-dolphin", *(["--online"] if online else []), *([f"--sea {sea}"] if sea else [])]
-    write_text(page, auv_page(by_sea, online, " ".join([*words, trials.words])))
+    write_text(page, make_auv_page(by_sea, online, " ".join([*words, trials.words])))
     if trials.json != STDOUT:
         columns = ("sea", "method", *(f"{column.name}, {column.unit}" for column in COLUMNS))
         title = f"{name}: {len(made)} recordings" if files else f"{name}: {len(trials.seeds)} missions per sea"

@@ -12,12 +12,12 @@ from stillpoint.datasets.calibration.apply import apply_calibration
 from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.scoring.score import score_row
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.recordings import find_calibration, open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
-from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows, phone_page
+from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows, make_phone_page
 from stillpoint.studies.papers.phone.study import (
     EXPERIMENTS,
     PRINTED_KALMAN_GAIN,
@@ -120,7 +120,7 @@ def _run_experiment(
         require_known(hand, scenario.hands, "hand")
     hands = (RECORDED,) if files else tuple(scenario.hands) if hand is None else (hand,)
     long_runs = time_long_run(minutes, hands[0]) if minutes else []
-    folder = output_dir(trials.out)
+    folder = make_output_dir(trials.out)
     if files:
         made = trials.run(_score_file, [_File(file, calibration or "none") for file in files], "recordings")
     else:
@@ -130,7 +130,7 @@ def _run_experiment(
     words = [f"stillpoint experiment {name}", *([f"--hand {hand}"] if hand else []), trials.words]
     words += [f"--calibration {calibration}"] if calibration else []
     command = " ".join([*words, *([f"--minutes {minutes:g}"] if minutes else [])])
-    write_text(page, phone_page(scenario, by_hand, long_runs, minutes or 0.0, command))
+    write_text(page, make_phone_page(scenario, by_hand, long_runs, minutes or 0.0, command))
     if trials.json != STDOUT:
         _print_results(scenario, by_hand, long_runs, minutes or 0.0)
         left_out = [one.name for one in made if one.mag_left_out]

@@ -4,12 +4,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
-from stillpoint.studies.papers.servo.page import make_rows, servo_page
+from stillpoint.studies.papers.servo.page import make_rows, make_servo_page
 from stillpoint.studies.papers.servo.study import Trial, run_trial, score_recording
 
 _COLUMNS = ("against", "angle", "by", "rms at rest, deg", "low rate", "high rate")
@@ -39,14 +39,14 @@ def bench(*, minutes: float | None = None, trials: Trials = SIMULATED) -> None:
     long_min = _MINUTES if minutes is None else minutes
     if long_min < _SHORTEST_MINUTES:
         raise BadParameter(f"--minutes {long_min:g}: give {_SHORTEST_MINUTES:g} or more, for swings at both rates")
-    folder = output_dir(trials.out)
+    folder = make_output_dir(trials.out)
     if files:
         made = [one for some in trials.run(_score_file, files, "recordings") for one in some]
     else:
         made = trials.run(_run_trial, [_Job(seed, long_min) for seed in trials.seeds], "benches")
     page = folder / "servo-bench.experiment.html"
     length = "" if files else f"--minutes {long_min:g} "
-    write_text(page, servo_page(made, f"stillpoint experiment servo-bench {length}{trials.words}", bool(files)))
+    write_text(page, make_servo_page(made, f"stillpoint experiment servo-bench {length}{trials.words}", bool(files)))
     if trials.json != STDOUT:
         table = [[row["judge"], row["angle"], row["method"], *row["cells"]] for row in make_rows(made)]
         print_table(f"servo-bench: {len(files) or len(made)} benches", _COLUMNS, [table], texts=3)

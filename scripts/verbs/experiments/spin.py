@@ -8,12 +8,12 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.scoring.spin import spin_score_row
-from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.inputs import make_output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIRST_ONLINE, Trials
-from stillpoint.studies.papers.spin.page import spin_page
+from stillpoint.studies.papers.spin.page import make_spin_page
 from stillpoint.studies.papers.spin.recorded import RECORDED, identify_noise, score_recording
 from stillpoint.studies.papers.spin.study import (
     CONSTANT,
@@ -104,7 +104,7 @@ def _run_experiment(scenario: Scenario, wanted: SpinTrials) -> None:
     files = wanted.files
     wanted.refuse(noise=wanted.noise)
     trials = wanted if files else _fill_defaults(wanted)
-    folder = output_dir(trials.out)
+    folder = make_output_dir(trials.out)
     if files:
         by_noise: dict[str, list[Trial]] = _score_files(scenario, trials, files)
     else:
@@ -115,7 +115,7 @@ def _run_experiment(scenario: Scenario, wanted: SpinTrials) -> None:
     name = f"{scenario.name}{'-online' if trials.online else ''}"
     page = folder / f"{name}.experiment.html"
     command = f"stillpoint experiment {scenario.name} {trials.words}"
-    write_text(page, spin_page(scenario, by_noise, trials.online, command))
+    write_text(page, make_spin_page(scenario, by_noise, trials.online, command))
     if trials.json != STDOUT:
         count = len(next(iter(by_noise.values())))
         title = f"{name}: the worst of {count} {'recordings' if files else 'trials'}"

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scripts.shared.flags import Jobs, OutDir, Whole, Workers
-from stillpoint.scripts.shared.inputs import recordings
+from stillpoint.scripts.shared.inputs import find_recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import JsonFile
 
@@ -67,7 +67,7 @@ class Trials:
         if self.recording is None:
             return []
         self.refuse(trials=self.trials, seed=self.seed)
-        return recordings(self.recording)
+        return find_recordings(self.recording)
 
     def refuse(self, **options: object) -> None:
         """Raise :class:`BadParameter` when recordings come with an option that only simulated trials have."""

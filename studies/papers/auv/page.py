@@ -53,7 +53,7 @@ COLUMNS = (
 )
 
 
-def auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
+def make_auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
     """Return the page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
     first = next(iter(trials.values()))
     kept = [one.series.gains[PRINTED] for some in trials.values() for one in some]

@@ -82,7 +82,7 @@ _FIGURES: dict[str, tuple[_Shown, ...]] = {
 }
 
 
-def phone_page(
+def make_phone_page(
     scenario: Scenario,
     trials: Mapping[str, Sequence[Trial]],
     long_runs: Sequence[LongRun],

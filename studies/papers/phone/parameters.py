@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.filters import estimate
-from stillpoint.scoring.compare import moving_samples
-from stillpoint.scoring.errors import euler_error
+from stillpoint.scoring.compare import find_moving
+from stillpoint.scoring.errors import compute_euler_error
 
 
 class Parameters(NamedTuple):
@@ -69,7 +69,7 @@ def map_errors_deg(recording: Recording, benchmark: Reference) -> Floats:
 def _measure_errors_deg(recording: Recording, benchmark: Reference, parameters: Parameters) -> Floats:
     """Return the RMSE (3,) in deg of roll, pitch and yaw of CF with these parameters."""
     found = estimate(recording, "cf", parameters._asdict())
-    moving = moving_samples(benchmark)
+    moving = find_moving(benchmark)
     assert found.q_nb is not None
-    error_rad = euler_error(found.q_nb[moving], benchmark.q_nb[moving], "nwu")
+    error_rad = compute_euler_error(found.q_nb[moving], benchmark.q_nb[moving], "nwu")
     return np.asarray(np.rad2deg(np.sqrt(np.mean(error_rad**2, axis=0))))

@@ -17,7 +17,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import estimate
 from stillpoint.scoring.compare import compare
-from stillpoint.scoring.errors import attitude_error, euler_error
+from stillpoint.scoring.errors import compute_attitude_error, compute_euler_error
 from stillpoint.scoring.score import Score, score
 from stillpoint.smoother import attitude_reference
 from stillpoint.studies.papers.phone.parameters import MEAN_S, SLOWER, map_errors_deg
@@ -195,7 +195,7 @@ def _measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, flo
     start = _find_first_motion(benchmark)
     end = int(np.searchsorted(benchmark.t_ns, benchmark.t_ns[start] + round(DRIFT_S * 1e9), side="right")) - 1
     restarted = restart_integration(gyro.q_nb, benchmark.q_nb, start)
-    roll, pitch, yaw = np.rad2deg(euler_error(restarted[[end]], benchmark.q_nb[[end]], "nwu")[0])
+    roll, pitch, yaw = np.rad2deg(compute_euler_error(restarted[[end]], benchmark.q_nb[[end]], "nwu")[0])
     return float(roll), float(pitch), float(yaw)
 
 
@@ -207,7 +207,7 @@ def _find_first_motion(benchmark: Reference) -> int:
 def _fold_yaw(estimated: Estimate, benchmark: Reference) -> Folded:
     """Return the errors of yaw modulo 90 deg over the moving samples, with nothing aligned."""
     c = compare(estimated, benchmark, "none")
-    yaw_deg = np.rad2deg(euler_error(c.q_est[c.moving], c.q_true[c.moving], "nwu")[:, 2])
+    yaw_deg = np.rad2deg(compute_euler_error(c.q_est[c.moving], c.q_true[c.moving], "nwu")[:, 2])
     folded_deg = np.mod(yaw_deg + 45.0, 90.0) - 45.0
     return Folded(float(np.sqrt(np.mean(folded_deg**2))), float(np.abs(folded_deg).max()))
 
@@ -247,7 +247,7 @@ def compute_rms_drift_deg(trials: Sequence[Trial]) -> Floats:
 
 def _measure_tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
     c = compare(reference, truth, "none")
-    return float(np.rad2deg(attitude_error(c.q_est[:1], c.q_true[:1]).inclination_rad[0]))
+    return float(np.rad2deg(compute_attitude_error(c.q_est[:1], c.q_true[:1]).inclination_rad[0]))
 
 
 def _make_series(
@@ -272,7 +272,7 @@ def _make_series(
 def _measure_error_over_time(reference: Reference, truth: Truth, zero_ns: int) -> tuple[Floats, Floats]:
     """Return times in s and the total error in deg of a reference against the truth."""
     c = compare(reference, truth, "none")
-    error_deg = np.asarray(np.rad2deg(attitude_error(c.q_est, c.q_true).total_rad), dtype=np.float64)
+    error_deg = np.asarray(np.rad2deg(compute_attitude_error(c.q_est, c.q_true).total_rad), dtype=np.float64)
     return np.asarray((c.t_ns - zero_ns) / 1e9, dtype=np.float64), error_deg
 
 

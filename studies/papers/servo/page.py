@@ -28,7 +28,7 @@ def _find_median(trials: Sequence[Trial], key: str) -> float:
     return float(np.median([abs(getattr(one.figures, key)) for one in trials]))
 
 
-def servo_page(trials: Sequence[Trial], command: str, recorded: bool = False) -> str:
+def make_servo_page(trials: Sequence[Trial], command: str, recorded: bool = False) -> str:
     """Return the page as text; the same trials give the same bytes. Recorded ones have several judges."""
     first = [one for one in trials if one.judge == trials[0].judge]
     return load_template("stillpoint.studies.papers.servo", "page.html.j2").render(

@@ -43,7 +43,7 @@ _NAMED = (
 assert tuple(metric.key for metric in _NAMED) == METRICS
 
 
-def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
+def make_spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
     """Return the page; ``trials`` by noise, each with at least one trial. The same trials give the same bytes.
 
     Those of recordings stand under the names of their judges.

@@ -13,7 +13,7 @@ from stillpoint.datasets.archive import create_archive, open_archive
 from stillpoint.datasets.archive.repair import Copies, repair_archive
 from stillpoint.datasets.archive.verify import verify_archive
 from stillpoint.datasets.errors import BadFile, BadParameter
-from stillpoint.datasets.files.remote import RangedFile, is_url, list_files, url_of
+from stillpoint.datasets.files.remote import RangedFile, get_url, is_url, list_files
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.mcap.indexed import Window, read_part
 from stillpoint.datasets.mcap.reader import read_log
@@ -110,7 +110,7 @@ def place(request, cache):
 
 
 def test_paths_keep_their_urls():
-    assert url_of("s3:/bucket/a.mcap") == url_of("s3://bucket/a.mcap") == "s3://bucket/a.mcap"
+    assert get_url("s3:/bucket/a.mcap") == get_url("s3://bucket/a.mcap") == "s3://bucket/a.mcap"
     assert is_url("memory://a/b")
     assert not is_url("C:/data/a.mcap")
     assert not is_url("/data/a.mcap")

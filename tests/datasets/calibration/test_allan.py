@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import Imu, Info, Recording, Unobservable, write
-from stillpoint.datasets.calibration.allan import FLOOR, find_allan_deviation, overlapping_deviation
+from stillpoint.datasets.calibration.allan import FLOOR, compute_overlapping_deviation, find_allan_deviation
 
 RATE_HZ = 50.0
 
@@ -20,7 +20,7 @@ def test_it_is_the_overlapping_deviation_of_allantools():
     allantools = pytest.importorskip("allantools")
     values = np.random.default_rng(1).normal(size=(5000, 3)).cumsum(axis=0) * 0.01
     values += np.random.default_rng(2).normal(size=values.shape)
-    tau_s, deviation = overlapping_deviation(values, 1 / RATE_HZ)
+    tau_s, deviation = compute_overlapping_deviation(values, 1 / RATE_HZ)
     for axis in range(3):
         known_s, known, _, _ = allantools.oadev(values[:, axis], rate=RATE_HZ, data_type="freq", taus=tau_s)
         assert known_s == pytest.approx(tau_s)

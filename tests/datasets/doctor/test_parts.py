@@ -11,8 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu
 from stillpoint.datasets.doctor.lag import find_lag
-from stillpoint.datasets.doctor.noise import calm_seconds, white_noise
-from stillpoint.datasets.doctor.turning import MODES, Grid, displacement_modes, gyro_series, vector_series
+from stillpoint.datasets.doctor.noise import find_calm_seconds, measure_white_noise
+from stillpoint.datasets.doctor.turning import (
+    MODES,
+    Grid,
+    make_displacement_modes,
+    make_gyro_series,
+    make_vector_series,
+)
 from stillpoint.datasets.doctor.witness import CANDIDATES, choose, describe
 from stillpoint.datasets.simulate import simulate
 
@@ -31,7 +37,7 @@ def test_a_vector_fixed_in_the_world_changes_as_the_true_rate_says(k, seed):
     offset = np.array([1.0, 2.0, 3.0])
     vector = Rotation.concatenate(attitude).inv().apply(rng.normal(size=3)) + offset
     imu = Imu(stamps(1001), rate @ CANDIDATES[k], np.ones((1001, 3)))
-    at = Grid(gyro_series(imu, 0), vector_series(imu.t_ns, vector, 0), 0.0).at_lag(0.0)
+    at = Grid(make_gyro_series(imu, 0), make_vector_series(imu.t_ns, vector, 0), 0.0).at_lag(0.0)
     predicted = at.predict_change(CANDIDATES[k], offset)
     assert np.abs(predicted - at.change).max() < 1e-3 * np.abs(at.change).max()
 
@@ -61,7 +67,7 @@ def test_the_displacement_of_a_force_is_that_of_its_path():
     length, step_s = 200, 0.01
     t_s = step_s * np.arange(1, length + 1)
     force = np.cos(3 * t_s)
-    of_force, of_path = displacement_modes(length, step_s)
+    of_force, of_path = make_displacement_modes(length, step_s)
     twice = np.cumsum(np.cumsum(force)) * step_s**2
     assert of_force.shape == of_path.shape == (MODES, length)
     assert np.allclose(of_force @ force, of_path @ twice, atol=1e-12)
@@ -85,7 +91,7 @@ def test_white_noise_is_told_from_drift_and_jolts(sd, seed):
     rng = np.random.default_rng(seed)
     values = rng.normal(0, sd, (5000, 3)) + 50 * sd * np.linspace(0, 1, 5000)[:, None] ** 2
     values[::500] += 100 * sd
-    assert white_noise(values, np.ones(5000, dtype=bool)) == pytest.approx([sd] * 3, rel=0.1)
+    assert measure_white_noise(values, np.ones(5000, dtype=bool)) == pytest.approx([sd] * 3, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -96,5 +102,5 @@ def table():
 @given(factor=st.floats(1e-3, 1e3))
 def test_calm_seconds_do_not_depend_on_the_unit(table, factor):
     scaled = replace(table.imu, accel_b_mps2=factor * table.imu.accel_b_mps2)
-    assert np.array_equal(calm_seconds(scaled), calm_seconds(table.imu))
-    assert len(calm_seconds(table.imu)) >= 8  # of the ten seconds of rest
+    assert np.array_equal(find_calm_seconds(scaled), find_calm_seconds(table.imu))
+    assert len(find_calm_seconds(table.imu)) >= 8  # of the ten seconds of rest

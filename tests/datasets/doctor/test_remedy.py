@@ -9,16 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, Mag
 from stillpoint.datasets.doctor import Remedy, apply, diagnose
-from stillpoint.datasets.doctor.remedy import line_through
+from stillpoint.datasets.doctor.remedy import fit_even_stamps
 from stillpoint.datasets.doctor.witness import CANDIDATES
 from stillpoint.datasets.simulate import simulate
 
 
 def test_a_line_leaves_even_stamps_and_spreads_bursts():
     even = stamps(1000) + 10**9
-    assert np.abs(line_through(even) - even).max() <= 1
+    assert np.abs(fit_even_stamps(even) - even).max() <= 1
     bursts = even[np.minimum(np.arange(1000) // 25 * 25 + 24, 999)] + np.arange(1000) % 25 * 10**6
-    steps = np.diff(line_through(bursts))
+    steps = np.diff(fit_even_stamps(bursts))
     assert np.ptp(steps) <= 1
     assert abs(steps.mean() - 1e7) < 1e4
 
@@ -26,7 +26,7 @@ def test_a_line_leaves_even_stamps_and_spreads_bursts():
 def test_a_line_does_not_bridge_a_gap():
     t_ns = stamps(1000)
     t_ns[500:] += 3 * 10**9
-    assert np.abs(line_through(t_ns) - t_ns).max() <= 1
+    assert np.abs(fit_even_stamps(t_ns) - t_ns).max() <= 1
 
 
 def test_a_shift_of_one_sensor_moves_it_against_the_other():

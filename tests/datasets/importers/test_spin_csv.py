@@ -9,7 +9,7 @@ from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.spin_csv import SpinOptions
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.spin import BENCH, channels, five_accelerometers
+from stillpoint.datasets.spin import BENCH, channels, make_five_accelerometers
 
 FULL = "%.17g"
 
@@ -108,7 +108,7 @@ def test_five_accelerometers_and_their_gyros_are_read(tmp_path):
     assert recording.spin.accel_mps2.tobytes() == made.spin.accel_mps2.tobytes()
     assert recording.spin.gyro_radps == pytest.approx(made.spin.gyro_radps, rel=1e-12)
     assert channels(recording.spin.geometry).omega_squared.accel == pytest.approx(
-        channels(five_accelerometers(0.08)).omega_squared.accel
+        channels(make_five_accelerometers(0.08)).omega_squared.accel
     )
 
 

@@ -42,7 +42,7 @@ TYPES = sorted(
 
 
 def text_of(type_name):
-    return TRAP_TEXT if type_name == TRAP else cdr.definition(type_name)
+    return TRAP_TEXT if type_name == TRAP else cdr.get_definition(type_name)
 
 
 def random_value(node, rng):
@@ -85,7 +85,7 @@ def test_every_leaf_lies_where_rosbags_puts_it(type_name, little):
     for seed in range(12):
         message = random_message(type_name, np.random.default_rng(seed))
         body = bytes(STORE.serialize_cdr(message, type_name, little_endian=little))
-        layout = cdr.layout_of(parsed, body)
+        layout = cdr.find_layout(parsed, body)
         record = np.frombuffer(body, layout.dtype)[0]
         assert all(body[at : at + len(word)] == word for at, word in layout.words)
         for path in layout.dtype.names:
@@ -101,7 +101,7 @@ def test_a_message_built_from_a_layout_is_that_of_rosbags_byte_for_byte(type_nam
     for seed in range(12):
         message = random_message(type_name, np.random.default_rng(seed))
         body = bytes(STORE.serialize_cdr(message, type_name))
-        found = cdr.layout_of(parsed, body)
+        found = cdr.find_layout(parsed, body)
         lengths = {}
 
         def note(path, at, empty, lengths=lengths, body=body):
@@ -109,7 +109,7 @@ def test_a_message_built_from_a_layout_is_that_of_rosbags_byte_for_byte(type_nam
             return lengths[path]
 
         cdr._Walk("<", note, len(body)).layout(parsed)
-        layout = cdr.layout_for(parsed, lengths)
+        layout = cdr.make_layout(parsed, lengths)
         built = np.zeros(1, layout.dtype)
         raw = built.view(np.uint8)
         for at, word in layout.words:
@@ -123,7 +123,7 @@ def test_padding_of_a_layout_agrees_with_the_specification():
     """NavSatStatus: an int8, one byte of padding, a uint16; then the doubles at 8 from the body's start."""
     parsed = cdr.parse("a/msg/T", "ros2msg", "int8 s\nuint16 v\nfloat64 x\nuint8 c")
     body = b"\0\1\0\0" + b"\xff\0\x02\x01" + b"\0" * 4 + np.float64(1.5).tobytes() + b"\x07"
-    record = np.frombuffer(body, cdr.layout_of(parsed, body).dtype)[0]
+    record = np.frombuffer(body, cdr.find_layout(parsed, body).dtype)[0]
     assert record.tolist() == (-1, 258, 1.5, 7)
 
 
@@ -134,7 +134,7 @@ def test_padding_of_a_layout_agrees_with_the_specification():
 def test_other_encodings_are_named(head, says):
     parsed = cdr.parse("a/msg/T", "ros2msg", "uint8 x")
     with pytest.raises(cdr.Undecodable, match=says):
-        cdr.layout_of(parsed, head)
+        cdr.find_layout(parsed, head)
 
 
 @given(st.sampled_from(TYPES), st.integers(0, 30), st.binary(max_size=8), st.integers(0, 400))
@@ -145,7 +145,7 @@ def test_no_bytes_bring_anything_but_undecodable(type_name, seed, noise, at):
     body[at : at + len(noise)] = noise
     del body[at + 100 :]
     try:
-        layout = cdr.layout_of(cdr.parse(type_name, "ros2msg", text_of(type_name)), bytes(body))
+        layout = cdr.find_layout(cdr.parse(type_name, "ros2msg", text_of(type_name)), bytes(body))
     except cdr.Undecodable:
         return
     assert layout.dtype.itemsize == len(body)
@@ -163,16 +163,16 @@ def test_no_bytes_bring_anything_but_undecodable(type_name, seed, noise, at):
 )
 def test_definitions_that_cannot_be_used_are_named(encoding, text, says):
     with pytest.raises(cdr.Undecodable, match=says):
-        cdr.layout_of(cdr.parse("a/msg/T", encoding, text), b"\0\1\0\0" + b"\0" * 64)
+        cdr.find_layout(cdr.parse("a/msg/T", encoding, text), b"\0\1\0\0" + b"\0" * 64)
 
 
 def test_an_idl_schema_has_the_same_layout():
     idl = """module geometry_msgs { module msg { struct Vector3 { double x; double y; double z; }; }; };"""
     body = b"\0\1\0\0" + np.arange(3.0).tobytes()
     parsed = cdr.parse("geometry_msgs/msg/Vector3", "ros2idl", idl)
-    assert np.frombuffer(body, cdr.layout_of(parsed, body).dtype)[0].tolist() == (0.0, 1.0, 2.0)
+    assert np.frombuffer(body, cdr.find_layout(parsed, body).dtype)[0].tolist() == (0.0, 1.0, 2.0)
 
 
 def test_a_definition_comes_whole_with_all_that_it_is_made_of():
-    text = cdr.definition("sensor_msgs/msg/Imu")
+    text = cdr.get_definition("sensor_msgs/msg/Imu")
     assert {"MSG: std_msgs/Header", "MSG: geometry_msgs/Vector3"} <= set(text.splitlines())

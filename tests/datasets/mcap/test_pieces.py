@@ -13,7 +13,7 @@ from mcap.writer import Writer as OfficialWriter
 
 from stillpoint.datasets import BadFile, BadRecording, Gps, Imu, Info, Mag, Recording, Series, Truth, read, write
 from stillpoint.datasets.mcap.pieces import PieceReader
-from stillpoint.datasets.mcap.store import contents_of, open_trajectory
+from stillpoint.datasets.mcap.store import make_contents, open_trajectory
 from stillpoint.datasets.mcap.writer import open_mcap
 from stillpoint.datasets.recording import Piece
 
@@ -164,7 +164,7 @@ def cut(thing, rows):
 def test_streams_of_several_groups_written_in_pieces_have_the_bytes_of_one_written_at_once(hour, tmp_path, span_s):
     """Chunks of silent streams end by their span of time, so that the others need not wait for them in memory."""
     path, recording = hour
-    streams, record = contents_of(recording)
+    streams, record = make_contents(recording)
     first = min(stream.t_ns[0] for stream in streams)
     last = max(stream.t_ns[-1] for stream in streams)
     with open_mcap(tmp_path / "pieces.mcap", read_library(path)) as out:

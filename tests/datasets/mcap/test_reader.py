@@ -77,7 +77,7 @@ def test_files_of_mcap_ros2_support_are_read(tmp_path):
     path = tmp_path / "x.mcap"
     with path.open("wb") as file:
         writer = Ros2Writer(file)
-        imu, field = (writer.register_msgdef(name, cdr.definition(name)) for name in (IMU, VECTOR))
+        imu, field = (writer.register_msgdef(name, cdr.get_definition(name)) for name in (IMU, VECTOR))
         for k in range(300):
             writer.write_message("/imu", imu, with_lists(imu_message(k)), log_time=int(T_NS[k]))
             writer.write_message("/field", field, vector_message(k), log_time=int(T_NS[k]))
@@ -101,7 +101,7 @@ def test_files_of_foxglove_sdk_are_read(tmp_path):
     with foxglove.open_mcap(path):
         channels = {}
         for topic, name in (("/imu", IMU), ("/field", VECTOR)):
-            schema = foxglove.Schema(name=name, encoding="ros2msg", data=cdr.definition(name).encode())
+            schema = foxglove.Schema(name=name, encoding="ros2msg", data=cdr.get_definition(name).encode())
             channels[topic] = foxglove.Channel(topic, message_encoding="cdr", schema=schema)
         for k in range(300):
             for topic, name, message in (("/imu", IMU, imu_message(k)), ("/field", VECTOR, vector_message(k))):
@@ -151,7 +151,7 @@ def test_a_topic_of_two_types_is_named(tmp_path):
         writer = OfficialWriter(file)
         writer.start()
         for name, message in ((VECTOR, vector_message(0)), (IMU, imu_message(0))):
-            schema = writer.register_schema(name, "ros2msg", cdr.definition(name).encode())
+            schema = writer.register_schema(name, "ros2msg", cdr.get_definition(name).encode())
             channel = writer.register_channel("/x", "cdr", schema)
             writer.add_message(channel, 0, bytes(STORE.serialize_cdr(message, name)), 0)
         writer.finish()
@@ -213,7 +213,7 @@ def test_what_cannot_be_decoded_is_named_and_the_rest_is_read(tmp_path):
         writer = OfficialWriter(file)
         writer.start()
         json_schema = writer.register_schema("note", "jsonschema", b"{}")
-        vectors = writer.register_schema(VECTOR, "ros2msg", cdr.definition(VECTOR).encode())
+        vectors = writer.register_schema(VECTOR, "ros2msg", cdr.get_definition(VECTOR).encode())
         flat = bytes(STORE.serialize_cdr(vector_message(0), VECTOR))
         rows = {
             "/good": ("cdr", vectors, flat),
@@ -246,7 +246,7 @@ def test_messages_of_one_topic_on_two_channels_are_joined(tmp_path):
     with path.open("wb") as file:
         writer = OfficialWriter(file)
         writer.start()
-        schema = writer.register_schema(VECTOR, "ros2msg", cdr.definition(VECTOR).encode())
+        schema = writer.register_schema(VECTOR, "ros2msg", cdr.get_definition(VECTOR).encode())
         channels = [writer.register_channel("/x", "cdr", schema, {"node": str(k)}) for k in range(2)]
         for k in range(40):
             writer.add_message(channels[k % 2], k, bytes(STORE.serialize_cdr(vector_message(k), VECTOR)), k)

@@ -91,7 +91,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
 def test_a_file_says_what_it_is_and_how_it_was_made(tmp_path):
     path = tmp_path / "r.mcap"
     write(path, replace(reference_of(), made_from={"a.mcap": "ab12"}, params={"k": 1}), attachments={"log": b"\0\1"})
-    said = store.provenance(path)
+    said = store.read_provenance(path)
     assert (said.kind, said.attachments, said.lost) == ("reference", {"log": b"\0\1"}, "")
     assert (said.facts["made_from"], said.facts["params"]) == ({"a.mcap": "ab12"}, {"k": 1})
     assert said.topics["/reference/attitude"] == ("sensor_msgs/msg/Imu", 50)
@@ -279,7 +279,7 @@ def gps(n=9):
 )
 def test_a_whole_file_that_lacks_messages_is_refused(tmp_path, lacks, known, says):
     """As when a tool filtered it; the facts say how many there were, and topics of one stream share their times."""
-    streams, record = store.contents_of(phone(gps=gps()))
+    streams, record = store.make_contents(phone(gps=gps()))
     for k, stream in enumerate(streams):
         if stream.topic == lacks:
             columns = {leaf: values[:-1] for leaf, values in stream.columns.items()}
@@ -292,7 +292,7 @@ def test_a_whole_file_that_lacks_messages_is_refused(tmp_path, lacks, known, say
 
 
 def test_a_remainder_of_another_time_than_its_field_is_refused(tmp_path):
-    streams, record = store.contents_of(phone())
+    streams, record = store.make_contents(phone())
     remainder = next(k for k, stream in enumerate(streams) if stream.topic == "/imu/mag_remainder")
     streams[remainder] = replace(streams[remainder], t_ns=streams[remainder].t_ns + 1)
     write_mcap(tmp_path / "x.mcap", streams, {"stillpoint": record}, {})

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from stillpoint.datasets import Imu, Mag, Recording, Truth, write
-from stillpoint.datasets.mcap.topics import TOPICS, microtesla, tesla
+from stillpoint.datasets.mcap.topics import TOPICS, to_microtesla, to_tesla
 from stillpoint.scripts.pages import topics_page
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -28,15 +28,15 @@ def test_every_topic_is_there_once():
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_any_double_in_microtesla_comes_back_from_tesla_to_the_bit(value):
     given_ut = np.array([[value]])
-    assert microtesla(*tesla(given_ut)).tobytes() == given_ut.tobytes()
+    assert to_microtesla(*to_tesla(given_ut)).tobytes() == given_ut.tobytes()
 
 
 def test_few_values_need_a_remainder_and_it_is_an_exact_last_digit():
     """Doubles in [1.907, 2) x 2^k microtesla outnumber those in tesla by two: half of them, 1 in 29 of all sizes."""
     rng = np.random.default_rng(4)
     field_ut = np.exp(rng.uniform(np.log(1), np.log(1024), (200_000, 1))) * rng.choice([-1.0, 1.0], (200_000, 1))
-    field_t, remainder = tesla(field_ut)
-    assert microtesla(field_t, remainder).tobytes() == field_ut.tobytes()
+    field_t, remainder = to_tesla(field_ut)
+    assert to_microtesla(field_t, remainder).tobytes() == field_ut.tobytes()
     share = np.mean(remainder != 0)
     assert abs(share - np.log2(2 / 1.9073) * 0.5) < 0.002
     assert (np.abs(remainder) <= 2 * np.spacing(np.abs(field_ut))).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import read, write
-from stillpoint.datasets.earth import enu_m, magnetic_field_n_ut, normal_gravity_mps2
+from stillpoint.datasets.earth import compute_magnetic_field_n_ut, enu_m, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import euler, rotation, slerp, wrap
 from stillpoint.datasets.simulate import simulate
@@ -70,7 +70,7 @@ def test_specific_force_is_the_second_derivative_of_the_position_less_gravity(pe
 
 
 def test_the_field_is_the_world_magnetic_model_all_along(perfect):
-    field_n = magnetic_field_n_ut(perfect.info.place_lat_lon_alt, perfect.info.date)
+    field_n = compute_magnetic_field_n_ut(perfect.info.place_lat_lon_alt, perfect.info.date)
     truth, mag = perfect.truth, perfect.mag
     inside = (mag.t_ns >= truth.t_ns[0]) & (mag.t_ns <= truth.t_ns[-1])
     in_n = rotation(slerp(truth.t_ns, truth.q_nb, mag.t_ns[inside])).apply(mag.mag_b_ut[inside])
@@ -154,7 +154,7 @@ def test_the_gyro_drifts_about_ten_degrees_in_ten_minutes(recorded, perfect):
 
 def test_the_iron_of_the_hull_is_worth_two_degrees_on_the_missions_heading(perfect):
     """Iron h across a heading and a horizontal field H: asin(h / H)."""
-    field_n = magnetic_field_n_ut(perfect.info.place_lat_lon_alt, perfect.info.date)
+    field_n = compute_magnetic_field_n_ut(perfect.info.place_lat_lon_alt, perfect.info.date)
     heading = np.deg2rad(40.0) - np.arctan2(field_n[0], field_n[1])  # magnetic
     across = AUV.iron.x_ut * np.sin(heading) + AUV.iron.y_ut * np.cos(heading)
     assert np.rad2deg(across / np.hypot(*field_n[:2])) == pytest.approx(2.0, abs=0.1)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillpoint.datasets.earth import declination_rad, magnetic_field_n_ut, normal_gravity_mps2
+from stillpoint.datasets.earth import compute_magnetic_field_n_ut, declination_rad, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import euler, rotation, slerp, wrap
 from stillpoint.datasets.simulate import PERFECT, PHONE, SIMULATIONS, simulate
@@ -79,7 +79,7 @@ def test_perfect_accelerometer_is_the_second_derivative_of_the_position():
 
 
 def test_perfect_magnetometer_sees_the_world_magnetic_model(perfect):
-    field_n = magnetic_field_n_ut(perfect.info.place_lat_lon_alt, perfect.info.date)
+    field_n = compute_magnetic_field_n_ut(perfect.info.place_lat_lon_alt, perfect.info.date)
     inside = (perfect.mag.t_ns >= perfect.truth.t_ns[0]) & (perfect.mag.t_ns <= perfect.truth.t_ns[-1])
     q_nb = slerp(perfect.truth.t_ns, perfect.truth.q_nb, perfect.mag.t_ns[inside])
     np.testing.assert_allclose(np.linalg.norm(perfect.mag.mag_b_ut, axis=1), np.linalg.norm(field_n), rtol=1e-12)

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from spins import CONSTANT, spoilt
 
 from stillpoint.datasets import Encoder, Recording, Spin, SpinGeometry
-from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
+from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, compute_specific_force
 from stillpoint.filters import estimate
 from stillpoint.filters.spin.stream import SpinStream
 from stillpoint.filters.table import SPINS
@@ -101,7 +101,9 @@ def of_double(n: int = 2000, seed: int = 0) -> Recording:
     """The bench with one radial and one tangential accelerometer to spare, at 35 rad/s, noise as CONSTANT says."""
     rng = np.random.default_rng(seed)
     rate, change = np.array([35.0, 0, 0]), np.zeros(3)
-    force = [specific_force(arm, change, rate, change) @ axis for arm, axis in zip(*arms_and_axes(), strict=True)]
+    force = [
+        compute_specific_force(arm, change, rate, change) @ axis for arm, axis in zip(*arms_and_axes(), strict=True)
+    ]
     accel = np.array(force) + rng.standard_normal((n, 4)) * np.sqrt([0.8, 0.125, 0.8, 0.125])
     t_ns = np.arange(n, dtype=np.int64) * 4_000_000
     truth = Encoder(t_ns, 35.0 * t_ns / 1e9, np.full(n, 35.0))

@@ -6,7 +6,7 @@ from spins import CONSTANT, exact
 
 from stillpoint.datasets import Recording
 from stillpoint.datasets.recording import Spin, SpinGeometry
-from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
+from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, compute_specific_force
 from stillpoint.filters import estimate
 from stillpoint.filters.table import SPINS
 from stillpoint.smoother import reference
@@ -50,7 +50,9 @@ def wide(sense: float, across_radps: float = 0.5, noise_mps2: float = 0.0) -> Re
     t_s = np.arange(0, 2, 0.004)
     still = np.ones(len(t_s))
     rate = np.column_stack([30 * sense * still, across_radps * still, 0.6 * across_radps * still])
-    felt = [specific_force(arm, np.zeros(3), rate, np.zeros(3)) @ axis for arm, axis in zip(ARMS, AXES, strict=True)]
+    felt = [
+        compute_specific_force(arm, np.zeros(3), rate, np.zeros(3)) @ axis for arm, axis in zip(ARMS, AXES, strict=True)
+    ]
     noise = np.random.default_rng(0).normal(0, noise_mps2, (len(t_s), len(ARMS)))
     t_ns = np.round(t_s * 1e9).astype(np.int64)
     return Recording("wide", spin=Spin(t_ns, np.column_stack(felt) + noise, rate[:, 1:], WIDE))

@@ -10,7 +10,7 @@ from spins import CONSTANT
 from stillpoint.datasets import BadParameter, BadRecording, Imu, Info, Recording, read, write
 from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, measure, specific_force
+from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, compute_specific_force, measure
 from stillpoint.filters import estimate
 from stillpoint.filters.spin import ekf as spin_ekf
 from stillpoint.filters.spin import front as roll_front
@@ -58,7 +58,7 @@ def of_five(n: int = 800) -> Recording:
     t_ns = np.cumsum(rng.integers(1_000_000, 6_000_000, n))
     rate = np.column_stack([30 * np.cos(t_ns / 1e9), np.sin(3e-9 * t_ns), np.cos(2e-9 * t_ns)])
     change = np.column_stack([-30 * np.sin(t_ns / 1e9), 3 * np.cos(3e-9 * t_ns), -2 * np.sin(2e-9 * t_ns)])
-    force = [specific_force(arm, np.array([0.0, 1.0, 9.0]), rate, change) for arm in geometry.accel_r_b_m]
+    force = [compute_specific_force(arm, np.array([0.0, 1.0, 9.0]), rate, change) for arm in geometry.accel_r_b_m]
     accel = np.column_stack([each @ axis for each, axis in zip(force, geometry.accel_axis_b, strict=True)])
     accel += rng.normal(0.0, 0.1, accel.shape)
     gyro = rate + rng.normal(0.0, 0.01, rate.shape)

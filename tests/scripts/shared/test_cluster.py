@@ -16,7 +16,7 @@ from farm_work import lines, run_orders, work
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.scripts.shared import cluster as cluster_module
 from stillpoint.scripts.shared.flags import Workers
-from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import choose_exit_code, run_jobs
 
 pytestmark = pytest.mark.slow
 ENDED_S = 300.0  # for processes on a busy machine to do what they were told
@@ -37,7 +37,7 @@ def test_outcomes_are_those_of_the_local_pool(cluster, capfd):
     assert [one.error is None for one in local] == [True, False, False, False, False, True]
     assert "SIGSEGV" in local[1].error
     assert "memory" in local[4].error
-    assert exit_code(on_cluster) == exit_code(local) == 1
+    assert choose_exit_code(on_cluster) == choose_exit_code(local) == 1
     assert capfd.readouterr().err.count("Traceback") == 2
 
 
@@ -76,7 +76,7 @@ def test_a_worker_under_a_nanny_works_too(cluster, tmp_path):
                 outcomes = run_jobs(
                     work, [f"sleep 0.5 {tmp_path / 'log'}"] * 10, Workers(scheduler=cluster.address), "w"
                 )
-                assert exit_code(outcomes) == 0
+                assert choose_exit_code(outcomes) == 0
                 if {one.value for one in outcomes} - known:
                     return
             pytest.fail("the worker under the nanny did no work")
@@ -99,7 +99,7 @@ def test_a_killed_worker_costs_no_result_and_gives_none_twice(tmp_path):
         outcomes = run_jobs(work, orders, Workers(scheduler=cluster.address), "cluster", on_done=kill_once)
         assert cluster.workers[0].wait(ENDED_S) == -signal.SIGKILL
         killed, other = (worker.pid for worker in cluster.workers)
-    assert exit_code(outcomes) == 0
+    assert choose_exit_code(outcomes) == 0
     assert sorted(arrived) == list(range(12))
     assert {one.value for one in outcomes[-4:]} == {other}
     assert sum(one.value == killed for one in outcomes) <= 4
@@ -127,7 +127,7 @@ def test_after_a_killed_client_the_next_run_computes_the_rest(cluster, tmp_path,
     kept = len(_list_kept())
     assert kept < 12
     outcomes = run_orders(cluster.address, str(tmp_path))
-    assert exit_code(outcomes) == 0
+    assert choose_exit_code(outcomes) == 0
     assert sum(one.kept for one in outcomes) == kept
     assert f"orders: {kept} of 12 kept from an earlier run, {12 - kept} to compute" in capfd.readouterr().err
     begun = [sum(line.startswith("begun") for line in lines(tmp_path / f"{k}.txt")) for k in range(12)]

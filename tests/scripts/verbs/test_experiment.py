@@ -8,7 +8,7 @@ from importlib import import_module
 import pytest
 
 from stillpoint.scripts.verbs.experiment import EXPERIMENTS
-from stillpoint.studies.papers.spin.page import spin_page
+from stillpoint.studies.papers.spin.page import make_spin_page
 from stillpoint.studies.papers.spin.study import (
     CONSTANT,
     METRICS,
@@ -106,7 +106,7 @@ def test_as_printed_the_ekf_of_the_variable_scenario_is_the_observation():
 @pytest.mark.slow
 def test_the_page_says_of_the_vibration_what_its_table_counts():
     trials = [run_trial(CONSTANT, "vibration", seed, online=True) for seed in (0, 1)]
-    page = spin_page(CONSTANT, {"vibration": trials}, True, "command")
+    page = make_spin_page(CONSTANT, {"vibration": trials}, True, "command")
     for metric, name in (("rate_rmse_degps", "RMSE"), ("rate_max_degps", "largest error")):
         counts = ", ".join(f"{method} in {n}" for method, n in count_wins(trials, metric, OF_PAPER).items() if n)
         assert f"the least {name} of the rate has {counts}" in page

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadSource, Truth, read, write
-from stillpoint.datasets.exporters.tables import csv_text, tables_of
+from stillpoint.datasets.exporters.tables import format_csv, make_tables
 from stillpoint.datasets.frames import rotation, to_xyzw
 from stillpoint.datasets.importers.trajectories import format_tum, read_poses
 from stillpoint.datasets.simulate import simulate
@@ -76,8 +76,8 @@ def test_what_is_no_trajectory_is_named_with_its_line(tmp_path, text, says):
 @settings(max_examples=20)
 @given(recordings() | references() | estimates())
 def test_every_number_of_a_table_is_read_back_as_the_same(thing):
-    for table in tables_of(thing).values():
-        lines = list(csv.reader(csv_text(table).splitlines()))
+    for table in make_tables(thing).values():
+        lines = list(csv.reader(format_csv(table).splitlines()))
         assert lines[0] == list(table)
         for column, cells in zip(table.values(), zip(*lines[1:], strict=True), strict=True):
             read_back = [int(c) for c in cells] if column.dtype.kind in "iub" else [float(c) for c in cells]

@@ -6,7 +6,7 @@ import pytest
 from stillpoint.datasets import read, write
 from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
-from stillpoint.studies.leaderboard.files import files_of_label
+from stillpoint.studies.leaderboard.files import find_files
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def test_attitude_lands_beside_the_recording_and_is_found(call, folder, made):
     kept = read(folder / "run.mine.estimate.mcap")
     assert (kept.name, kept.recording) == ("mine", made.name)
     np.testing.assert_allclose(kept.q_nb, made.truth.q_nb, atol=1e-9)
-    assert files_of_label(folder / "run.mcap") == {"mine": folder / "run.mine.estimate.mcap"}
+    assert find_files(folder / "run.mcap") == {"mine": folder / "run.mine.estimate.mcap"}
 
 
 def test_another_clock_is_refused(call, capsys, folder, made):

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from stillpoint.datasets.mcap.store import read_estimate, write
-from stillpoint.scripts.shared.companions import files_of, recording_name
+from stillpoint.scripts.shared.companions import get_recording_name, select_files
 from stillpoint.scripts.verbs.demo import SHOWN
 
 NAME = "phone-3-seed0"
@@ -176,8 +176,8 @@ def test_report_without_reference_or_truth_says_what_to_do(call, tmp_path, capsy
 def test_files_of_one_recording_are_told_from_those_of_another(tmp_path):
     names = ("run.reference", "run.graph.reference", "run2.reference", "run.2.graph.reference", "run.vqf.estimate")
     files = [tmp_path / f"{name}.mcap" for name in names]
-    assert files_of("run", "reference", files) == files[:2]
-    assert files_of("run.2", "reference", files) == [files[3]]
-    assert files_of("run", "estimate", files) == [files[4]]
-    assert recording_name(tmp_path / "a.b.vqf.estimate.mcap") == "a.b"
-    assert recording_name(tmp_path / "a.b.mcap") == "a.b"
+    assert select_files("run", "reference", files) == files[:2]
+    assert select_files("run.2", "reference", files) == [files[3]]
+    assert select_files("run", "estimate", files) == [files[4]]
+    assert get_recording_name(tmp_path / "a.b.vqf.estimate.mcap") == "a.b"
+    assert get_recording_name(tmp_path / "a.b.mcap") == "a.b"

@@ -9,7 +9,7 @@ from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import METHODS, reference
-from stillpoint.studies.validation import ValidationRow, summarise_sources, summary
+from stillpoint.studies.validation import ValidationRow, summarise_methods, summarise_sources
 
 KEYS = {
     "recording",
@@ -88,7 +88,7 @@ def test_the_worst_coverage_is_the_smallest_and_what_was_refused_is_no_figure():
         ValidationRow("c", "graph", "heading", total_rmse_deg=8.0),  # states no covariance
         ValidationRow("d", "graph", "heading", error="refused"),
     ]
-    found = {row["statistic"]: row for row in summary(rows)}
+    found = {row["statistic"]: row for row in summarise_methods(rows)}
     assert {name: row["total_rmse_deg"] for name, row in found.items()} == {"mean": 4.0, "median": 3.0, "worst": 8.0}
     assert {name: row["coverage95"] for name, row in found.items()} == {"mean": 0.7, "median": 0.7, "worst": 0.5}
     assert all((row["scored"], row["of"], row["nees_per_dof"]) == (3, 4, None) for row in found.values())

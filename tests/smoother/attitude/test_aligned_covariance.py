@@ -11,7 +11,7 @@ from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring.align import AlignKind, align_pairs
-from stillpoint.scoring.errors import normalised_square, rotation_error_b
+from stillpoint.scoring.errors import compute_normalised_square, compute_rotation_error_b
 from stillpoint.smoother.attitude.build import build_graph
 from stillpoint.smoother.attitude.covariance import compute_accuracy
 from stillpoint.smoother.attitude.evidence import gather_evidence
@@ -56,7 +56,7 @@ def test_errors_drawn_from_the_graph_fit_the_covariance_once_they_are_aligned() 
         q_est, q_true = quaternion(found), quaternion(found * Rotation.from_rotvec(errors))
         for kind, values in nees.items():
             aligned = align_pairs(q_est, q_true, kind).attitude(q_est)
-            left = rotation_error_b(aligned, q_true)
-            values.append(float(normalised_square(left, _SMALL**2 * accuracy.attitude_b_rad2).mean() / 3))
+            left = compute_rotation_error_b(aligned, q_true)
+            values.append(float(compute_normalised_square(left, _SMALL**2 * accuracy.attitude_b_rad2).mean() / 3))
     assert 0.8 < np.mean(nees["heading+mounting"]) < 1.2
     assert np.mean(nees["none"]) > 2.0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu, Mag, Unobservable, write
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.trajectory import total_sd_rad
+from stillpoint.datasets.trajectory import compute_total_sd_rad
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
 
@@ -93,7 +93,10 @@ def test_a_gap_in_motion_is_bridged_with_a_covariance_that_grows(hand, of_hand):
     t_s = (made.t_ns - hand.imu.t_ns[0]) / 1e9
     beside = np.abs(t_s - (start_s + 8)) < 0.3
     same = np.isin(of_hand.t_ns, made.t_ns[beside])
-    assert total_sd_rad(made.cov_b_rad2[beside]).mean() > 1.3 * total_sd_rad(of_hand.cov_b_rad2[same]).mean()
+    assert (
+        compute_total_sd_rad(made.cov_b_rad2[beside]).mean()
+        > 1.3 * compute_total_sd_rad(of_hand.cov_b_rad2[same]).mean()
+    )
     found = score(made, hand.truth, "heading")
     assert found.total_rmse_deg < 1.5
     assert found.coverage95 > 0.85  # the band that one recording is asked to keep

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillpoint.datasets import write
-from stillpoint.datasets.earth import enu_m, geodetic
+from stillpoint.datasets.earth import enu_m, to_geodetic
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.car import CAR, TOWN, Receiver
 from stillpoint.scoring import score
@@ -160,7 +160,7 @@ def test_kml_and_tum_hold_the_path(call, tmp_path, made):
     text = (tmp_path / "drive.reference.kml").read_text()
     points = ElementTree.fromstring(text).find(".//{*}coordinates").text.split()
     lon_deg, lat_deg, _ = map(float, points[0].split(","))
-    known_lat, known_lon, _ = geodetic(made.position_n_m[:1], made.origin_lat_lon_alt)
+    known_lat, known_lon, _ = to_geodetic(made.position_n_m[:1], made.origin_lat_lon_alt)
     assert (lat_deg, lon_deg) == pytest.approx((known_lat[0], known_lon[0]), abs=1e-8)
     assert 9.5 < len(points) / ((made.t_ns[-1] - made.t_ns[0]) / 1e9) < 10.5
     assert call("export", tmp_path / "drive.reference.mcap", "-o", tmp_path, "--format", "tum") == 0

@@ -7,7 +7,7 @@ from gtsam.symbol_shorthand import H, M, X
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectory import total_sd_rad
+from stillpoint.datasets.trajectory import compute_total_sd_rad
 from stillpoint.smoother.attitude.build import Graph, build_graph
 from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence
 from stillpoint.smoother.attitude.graph import reference_from_evidence
@@ -79,7 +79,7 @@ def test_windows_agree_with_the_whole_recording(swings: Recording, evidence: Evi
     assert parts.diagnostics["windows"] == 3
     assert [each.accepted for each in parts.returns] == [each.accepted for each in whole.returns] != []
     apart_rad = np.linalg.norm((rotation(whole.q_nb).inv() * rotation(parts.q_nb)).as_rotvec(), axis=1)
-    assert np.mean(apart_rad / total_sd_rad(whole.cov_b_rad2)) < 1.0
+    assert np.mean(apart_rad / compute_total_sd_rad(whole.cov_b_rad2)) < 1.0
     steps_rad = (rotation(parts.q_nb[:-1]).inv() * rotation(parts.q_nb[1:])).magnitude()
     likewise_rad = (rotation(whole.q_nb[:-1]).inv() * rotation(whole.q_nb[1:])).magnitude()
     assert np.abs(steps_rad - likewise_rad).max() < np.deg2rad(0.1)  # no jump where windows meet

@@ -8,7 +8,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from stillpoint.datasets import BadParameter
-from stillpoint.studies.rig.design import Rig, compute_steady_variance, evaluate_placement, find_longest_arms, limits_m
+from stillpoint.studies.rig.design import (
+    Rig,
+    compute_limits_m,
+    compute_steady_variance,
+    evaluate_placement,
+    find_longest_arms,
+)
 from stillpoint.studies.rig.figures import draw_both, draw_radial, draw_tangential
 
 PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
@@ -16,7 +22,7 @@ PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
 
 def test_the_design_finds_the_papers_limits_and_its_choice():
     """Section 3.2: F4 reads 16 g at 13 cm and sits at 10; F5 could sit at 0.9 m and has room for 0.5."""
-    assert limits_m(PAPER) == (pytest.approx(0.13, abs=0.002), pytest.approx(0.90, abs=0.002))
+    assert compute_limits_m(PAPER) == (pytest.approx(0.13, abs=0.002), pytest.approx(0.90, abs=0.002))
     chosen = find_longest_arms(PAPER)
     assert (chosen.d1_m, chosen.d2_m, chosen.fits) == (0.10, 0.50, True)
     assert (chosen.r_rad2ps4, chosen.q_rad2ps4) == (pytest.approx(80), pytest.approx(0.48))

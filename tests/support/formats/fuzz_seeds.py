@@ -210,7 +210,7 @@ def _foreign_mcap(checked: bool) -> Callable[[Path], tuple[Path, Path]]:
             writer = McapWriter(out, **options)
             writer.start(profile="ros2")
             kind = "sensor_msgs/msg/Imu"
-            schema = writer.register_schema(kind, "ros2msg", cdr.definition(kind).encode())
+            schema = writer.register_schema(kind, "ros2msg", cdr.get_definition(kind).encode())
             channel = writer.register_channel("/imu", "cdr", schema)
             vector = types["geometry_msgs/msg/Vector3"]
             for k, t in enumerate((T_NS + START_NS).tolist()):

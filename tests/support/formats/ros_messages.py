@@ -47,7 +47,7 @@ def one_topic(path, type_name, bodies, times=None, **options):
     with path.open("wb") as file:
         writer = OfficialWriter(file, **options)
         writer.start(profile="ros2")
-        schema = writer.register_schema(type_name, "ros2msg", cdr.definition(type_name).encode())
+        schema = writer.register_schema(type_name, "ros2msg", cdr.get_definition(type_name).encode())
         channel = writer.register_channel("/x", "cdr", schema)
         for k, body in enumerate(bodies):
             t = k if times is None else int(times[k])
@@ -58,7 +58,9 @@ def one_topic(path, type_name, bodies, times=None, **options):
 
 def bag(path, writer, rows=N):
     """Imu and Vector3Stamped messages through any writer with the call of mcap's."""
-    schemas = {name: writer.register_schema(name, "ros2msg", cdr.definition(name).encode()) for name in (IMU, VECTOR)}
+    schemas = {
+        name: writer.register_schema(name, "ros2msg", cdr.get_definition(name).encode()) for name in (IMU, VECTOR)
+    }
     imu = writer.register_channel("/imu", "cdr", schemas[IMU])
     field = writer.register_channel("/field", "cdr", schemas[VECTOR])
     for k in range(rows):

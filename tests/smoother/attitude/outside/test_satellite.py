@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Gps, Imu, Info, Recording, Truth, Unobservable
-from stillpoint.datasets.earth import geodetic, normal_gravity_mps2
+from stillpoint.datasets.earth import normal_gravity_mps2, to_geodetic
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
@@ -37,7 +37,7 @@ def drive(seed: int = 0) -> Recording:
     gyro += np.deg2rad(0.3) + 1e-3 * rng.standard_normal(gyro.shape)
     t_ns = np.round(t_s * 1e9).astype(np.int64)
     fix = slice(None, None, int(RATE_HZ))
-    lat, lon, alt = geodetic(position[fix] + rng.standard_normal((len(t_ns[fix]), 3)), PLACE)
+    lat, lon, alt = to_geodetic(position[fix] + rng.standard_normal((len(t_ns[fix]), 3)), PLACE)
     course = np.pi / 2 - yaw[fix] + np.deg2rad(0.5) * rng.standard_normal(len(lat))
     gps = Gps(t_ns[fix], lat, lon, alt, course, speed[fix], np.ones(len(lat), dtype=bool))
     truth = Truth(t_ns, quaternion(turn), np.ones(len(t_ns), dtype=bool))
