@@ -18,11 +18,12 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring import score
 from stillpoint.scripts.bench.timing import Timing
+from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother import reference
 
-_RECORDINGS = 8
+_RECORDINGS = 16
 _MINUTES, _RATE_HZ = 5.0, 100.0
 _EMPTY_TASKS = 200
 _COUNTS = (1, 2)  # of workers
@@ -40,7 +41,7 @@ class _Used:
 
 
 def bench_scale(_runs: int) -> list[Timing]:
-    """Return the rows of reference, estimate and score of eight recordings of 5 minutes, and of empty tasks.
+    """Return the rows of reference, estimate and score of sixteen recordings of 5 minutes, and of empty tasks.
 
     Each is done once: by 1 and 2 processes, by 1 and 2 workers of a cluster, and by 1 process with nothing compiled.
     """
@@ -63,22 +64,31 @@ def bench_scale(_runs: int) -> list[Timing]:
 
 
 def _time_batch(files: Sequence[Path], workers: Workers, name: str, against: Timing | None) -> Timing:
-    """Return the row of all recordings; its note holds the rate, the memory and the share of compiling."""
+    """Return the row of all recordings; its note holds the rates, the memory and the share of compiling."""
+    arrived: list[tuple[int, float]] = []
+
+    def note_arrival(_: int, outcome: Outcome[_Used]) -> None:
+        if outcome.value is not None:
+            arrived.append((outcome.value.pid, time.perf_counter()))
+
     begun = time.perf_counter()
-    used: list[_Used] = _run_all(_process_recording, files, workers)
+    used: list[_Used] = _run_all(_process_recording, files, workers, note_arrival)
     seconds = time.perf_counter() - begun
     peak_bytes = max(one.peak_bytes for one in used)
     compiling = sum(one.compiling_s for one in used) / sum(one.seconds for one in used)
+    steady = 60 * _find_steady_rate(arrived)
     figures = {
         "recordings_per_minute": 60 * len(files) / seconds,
+        "steady_recordings_per_minute": steady,
         "cpu_s_per_recording": sum(one.cpu_s for one in used) / len(used),
         "peak_bytes_per_process": peak_bytes,
         "compiling_share": compiling,
-        "start_s": seconds - max(_sum_by_process(used).values()),
+        "start_s": seconds - 60 * len(files) / steady,
     }
     note = (
-        f"{figures['recordings_per_minute']:.1f} recordings/min, {figures['cpu_s_per_recording']:.1f} s of CPU each, "
-        f"{peak_bytes / 1e6:.0f} MB per process, {compiling:.0%} compiling, {figures['start_s']:.1f} s to start"
+        f"{figures['recordings_per_minute']:.1f} recordings/min, {steady:.1f} after {figures['start_s']:.1f} s "
+        f"to start, {figures['cpu_s_per_recording']:.1f} s of CPU each, {peak_bytes / 1e6:.0f} MB per process, "
+        f"{compiling:.0%} compiling"
     )
     title = f"{len(files)} recordings of {_MINUTES:g} min, {name}"
     return Timing(title, [seconds], None, against, "times as long", figures, note)
@@ -131,12 +141,15 @@ def _do_nothing(number: int) -> int:
     return number
 
 
-def _sum_by_process(used: Sequence[_Used]) -> dict[int, float]:
-    """Return the seconds of work of each process."""
-    seconds: dict[int, float] = {}
-    for one in used:
-        seconds[one.pid] = seconds.get(one.pid, 0.0) + one.seconds
-    return seconds
+def _find_steady_rate(arrived: Sequence[tuple[int, float]]) -> float:
+    """Return the recordings per second of all processes together, each from its first outcome on.
+
+    Until then a process imports, loads compiled code or compiles: what a long batch does not notice.
+    """
+    times: dict[int, list[float]] = {}
+    for pid, at_s in arrived:
+        times.setdefault(pid, []).append(at_s)
+    return sum((len(of_one) - 1) / (of_one[-1] - of_one[0]) for of_one in times.values() if len(of_one) > 1)
 
 
 def _write_recording(folder: Path, seed: int) -> Path:

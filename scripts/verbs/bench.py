@@ -42,7 +42,7 @@ def bench(
     name
         What to time: filters (every estimator over 720 000 samples, and sample by sample), mcap (writing and reading an
         hour of a phone's sensors), roll (the graph of a spinning body over 15 000 samples), roll-filters (the
-        estimators of roll over 300 000 samples), scale (reference, estimate and score of eight recordings by local
+        estimators of roll over 300 000 samples), scale (reference, estimate and score of 16 recordings by local
         processes and by a Dask cluster, once each; needs the extra cluster), smoother (200 s beside offlineVQF, then an
         hour and four hours, once each), start (the help page, and the first estimate and result of each verb after an
         installation, once each).

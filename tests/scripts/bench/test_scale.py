@@ -1,9 +1,9 @@
-"""The bench of many recordings: a failure ends it, and times belong to the process that spent them."""
+"""The bench of many recordings: a failure ends it, and the start of a process is no part of the rate."""
 
 import pytest
 
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.scripts.bench.scale import _run_all, _sum_by_process, _Used
+from stillpoint.scripts.bench.scale import _find_steady_rate, _run_all
 from stillpoint.scripts.shared.flags import LOCAL
 
 
@@ -12,6 +12,6 @@ def test_an_input_that_fails_ends_the_bench():
         _run_all(int, ["no number"], LOCAL)
 
 
-def test_seconds_are_summed_by_process():
-    used = [_Used(1, 2.0, 1.0, 0.0, 10), _Used(2, 5.0, 4.0, 0.0, 10), _Used(1, 3.0, 1.0, 0.0, 10)]
-    assert _sum_by_process(used) == {1: 5.0, 2: 5.0}
+def test_the_steady_rate_leaves_out_what_comes_before_the_first_outcome_of_a_process():
+    arrived = [(1, 30.0), (2, 33.0), (1, 31.0), (2, 35.0), (1, 32.0), (3, 99.0)]  # 3 did one, which tells nothing
+    assert _find_steady_rate(arrived) == 1.0 + 0.5
