@@ -67,8 +67,8 @@ def _list_tables(file: Path, options: CsvOptions, log: Log) -> Iterator[Table]:
     note_skipped(whole, file, log)
     first_line, done = whole.lines[0], 0
     for text in chain([begin], texts):
-        table = take_rows(text, whole, first_line, done)
-        done += len(text.splitlines())
+        table, lines = take_rows(text, whole, first_line, done)
+        done += lines
         if len(table.rows):
             yield table
 

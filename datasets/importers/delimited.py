@@ -45,6 +45,22 @@ class _SplitLines(Sequence[list[str]]):
         """Yield the cells of each line."""
         return map(self._split, self.lines)
 
+    def take_column(self, place: int) -> list[str]:
+        """Return the cells of one column, "" where a line ends before it, without splitting the rest of the lines."""
+        delimiter = None if self.delimiter == " " else self.delimiter
+        try:
+            return [line.split(delimiter, place + 1)[place].strip() for line in self.lines]
+        except IndexError:
+            return [row[place] if place < len(row) else "" for row in self]
+
+    def load_floats(self, places: list[int]) -> Floats | None:
+        """Return some columns as (N, k); None where a line ends before one, or a cell is no plain number."""
+        try:
+            delimiter = None if self.delimiter == " " else self.delimiter
+            return np.loadtxt(self.lines, comments=None, delimiter=delimiter, usecols=places, ndmin=2)
+        except (ValueError, IndexError):
+            return None
+
     def _split(self, line: str) -> list[str]:
         if self.delimiter == " ":
             return line.split()
@@ -77,6 +93,11 @@ class Table:
             places.setdefault(name, []).append(place)
         return places
 
+    @cached_property
+    def _clocks(self) -> dict[tuple[str, str, str], Clock]:
+        """The clocks that were read: gyro, accelerometer and magnetometer ask for the same."""
+        return {}
+
     def place(self, column: str) -> int:
         """Return the index of a column, by its name or by its number.
 
@@ -105,6 +126,10 @@ class Table:
     def floats(self, columns: tuple[str, ...]) -> Floats:
         """Return columns as (N, k); an empty or NaN cell is NaN. Raises :class:`BadSource` for any other text."""
         places = [self.place(column) for column in columns]
+        if isinstance(self.rows, _SplitLines) and len(self.rows) and not self.decimal_comma:
+            plain = self.rows.load_floats(places)
+            if plain is not None and plain.shape == (len(self.rows), len(places)):
+                return plain
         values = np.empty((len(self.rows), len(places)))
         for begin in range(0, len(self.rows), _ROWS_AT_ONCE):
             rows = [
@@ -131,10 +156,17 @@ class Table:
 
     def clock(self, column: str, unit: str, flag: str = "--time") -> Clock:
         """Return the stamps of a column in s, ms, us, ns or iso, set by ``flag``; empty cells are unknown."""
-        cells = [row[place] if place < len(row) else "" for place in [self.place(column)] for row in self.rows]
-        if self.decimal_comma:
-            cells = [cell.replace(",", ".") for cell in cells]
-        return parse_times(cells, unit, self.where, self.lines, column, flag)
+        key = (column, unit, flag)
+        if key not in self._clocks:
+            place = self.place(column)
+            if isinstance(self.rows, _SplitLines):
+                cells = self.rows.take_column(place)
+            else:
+                cells = [row[place] if place < len(row) else "" for row in self.rows]
+            if self.decimal_comma:
+                cells = [cell.replace(",", ".") for cell in cells]
+            self._clocks[key] = parse_times(cells, unit, self.where, self.lines, column, flag)
+        return self._clocks[key]
 
     def cells(self, place: int) -> list[str]:
         """Return the text of a column; raises :class:`BadSource` for a row that ends before it."""
@@ -198,8 +230,8 @@ def parse(text: str, where: str, delimiter: str | None = None) -> Table:
     return Table(where, columns, cells[first:], numbers[first:], decimal_comma, skipped, delimiter)
 
 
-def take_rows(text: str, whole: Table, first_line: int, done: int) -> Table:
-    """Return the rows of one piece of a text as a table with the columns of the whole.
+def take_rows(text: str, whole: Table, first_line: int, done: int) -> tuple[Table, int]:
+    """Return the rows of one piece of a text as a table with the columns of the whole, and its number of lines.
 
     ``first_line`` is the line of the first row of the whole, ``done`` the number of lines before the piece. The text
     has no quotes. Raises :class:`BadSource` as :func:`parse`.
@@ -209,7 +241,7 @@ def take_rows(text: str, whole: Table, first_line: int, done: int) -> Table:
     content = [k for k in content if done + k + 1 >= first_line]
     rows = _SplitLines([lines[k] for k in content], whole.delimiter)
     numbers = [done + k + 1 for k in content]
-    return Table(whole.where, whole.columns, rows, numbers, whole.decimal_comma, 0, whole.delimiter)
+    return Table(whole.where, whole.columns, rows, numbers, whole.decimal_comma, 0, whole.delimiter), len(lines)
 
 
 def _split_lines(text: str, where: str) -> list[str]:
@@ -218,7 +250,7 @@ def _split_lines(text: str, where: str) -> list[str]:
         raise BadSource(f"{where}: is binary, not delimited text; name the log, or another kind of import")
     lines = text.splitlines()
     longest = raise_limit(LARGEST_LINE)
-    if len(text) > longest and any(len(line) > longest for line in lines):
+    if len(text) > longest and max(map(len, lines)) > longest:
         at = next(k for k, line in enumerate(lines) if len(line) > longest)
         raise BadSource(f"{where}, line {at + 1}: is longer than {longest} characters; name a log, or give --large")
     return lines

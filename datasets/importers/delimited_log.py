@@ -160,7 +160,7 @@ def read_sensor(
     keep = finite & clock.known
     if not keep.any():
         raise BadSource(f"{table.where}: no row with numbers of {flag} has a time in {clock.name!r}; check the columns")
-    lines = [table.lines[k] for k in np.flatnonzero(keep).tolist()]
+    lines = table.lines if keep.all() else [table.lines[k] for k in np.flatnonzero(keep).tolist()]
     return order_series(Series(clock.t_ns[keep], values[keep]), lines, clock, table.where, what, options, log)
 
 
