@@ -32,6 +32,8 @@ FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estim
 # Streams in single precision are compiled anew for each estimator, which takes longer than what is tested with them.
 # One without arrays in its state, one with covariances, one with arrays stand for all; each runs in batch.
 STREAMED_SINGLE: list[tuple[str, Precision]] = [("cf", "single"), ("ekf", "single"), ("acc-ma", "single")]
+# What the courses give stands in front of every estimator, and its streams are compiled anew for each. The same kinds.
+BY_COURSE: list[tuple[str, Precision]] = [("cf", "double"), ("ekf", "double"), ("acc-ma", "double"), ("cf", "single")]
 ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator)]
 FOLLOWING = [name for name in FILTERS if name != "acc-ma"]  # acc-ma is late by half its window, by design
 # The Euler rates of cf-literal, which nothing corrects, are not defined at a pitch of 90 deg.
@@ -197,7 +199,7 @@ def test_a_stream_in_single_precision_gives_the_bits_of_the_batch(name: str, pre
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "precision"), [*((name, "double") for name in FILTERS), *STREAMED_SINGLE])
+@pytest.mark.parametrize(("name", "precision"), BY_COURSE)
 def test_by_gps_course_too_halves_streams_and_batch_agree_bit_for_bit(name: str, precision: Precision) -> None:
     recording = with_fixes(untidy())
     batch = estimate(recording, name, precision=precision, heading="gps-course")

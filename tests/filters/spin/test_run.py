@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from spins import CONSTANT
+from spins import CONSTANT, STREAMED
 
 from stillpoint.datasets import BadParameter, BadRecording, Imu, Info, Recording, read, write
 from stillpoint.datasets.recording import Spin
@@ -32,8 +32,7 @@ def untidy() -> Recording:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", SPINS)
+@pytest.mark.parametrize(("name", "precision"), STREAMED)
 def test_a_stream_is_the_batch_bit_for_bit_also_when_cut_in_two(name, precision):
     spin = untidy().spin
     batch = estimate(untidy(), name, CONSTANT, precision)

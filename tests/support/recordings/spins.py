@@ -14,10 +14,14 @@ from stillpoint.datasets.simulate.spin_sensor import CONSTANT as PRESETS
 from stillpoint.datasets.simulate.spin_sensor import SpinSensor, make_white_noise
 from stillpoint.datasets.spin import BENCH
 from stillpoint.datasets.trajectory import SpinReference
+from stillpoint.filters.precision import Precision
+from stillpoint.filters.table import SPINS
 from stillpoint.smoother.spin.params import SpinCalibration, SpinGraphParams, SpinNoise
 
 CONSTANT = {"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125}  # R = 80, Q = 0.5 on the bench
 VARIABLE = {"radial_var_m2ps4": 0.4, "tangential_var_m2ps4": 3.0}  # R = 40, Q = 12
+# A stream is compiled anew for each estimator and precision; one in single precision stands for all.
+STREAMED: list[tuple[str, Precision]] = [*((name, "double") for name in SPINS), ("roll-ekf", "single")]
 QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)
 RIG = SpinGraphParams(calibration=SpinCalibration(accel_bias_sd_mps2=0.1, lever_arm_sd=1e-3))  # 10 mg, 0.1 %
 GIVEN = SpinNoise(source="given", accel_sd_radps2=0.12**0.5 / 0.5, squared_sd_rad2ps2=0.8**0.5 / 0.1)
