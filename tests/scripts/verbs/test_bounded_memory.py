@@ -12,15 +12,18 @@ from stillpoint.scripts.bench.long import write_long_recording, write_phone_reco
 from stillpoint.smoother import reference
 
 RATE_HZ = 200
-# The shorter recording fills all pieces that are in memory at once: 0.25 h took up to 68 MB less than 1.25 h, and
-# lengths above 0.75 h differ by at most 40 MB.
-HOURS = 0.75, 2.75
-# The columns of the two hours between them (imu 56 bytes a row, estimate 72) would be 184 MB, each copy as much again.
-ALLOWED_MB = 90
+# Pieces of 80 s instead of 11 minutes, so that a short recording fills all that are in memory at once.
+PIECE_ROWS = 1 << 14
+HOURS = 1 / 6, 5 / 6
+# The columns of the minutes between them (imu 56 bytes a row, estimate 72) would be 61 MB, each copy as much again.
+ALLOWED_MB = 30
 
 MEASURE = """
 import json, sys
+from stillpoint.datasets.mcap.pieces import PieceReader
 from stillpoint.scripts.main import main
+rows = int(sys.argv.pop(1))
+PieceReader.__init__.__defaults__ = (*PieceReader.__init__.__defaults__[:-1], rows)  # of most
 try:
     main(sys.argv[1:])
 except SystemExit as end:
@@ -35,8 +38,9 @@ pytestmark = [
 ]
 
 
-def peak_mb(*words):
-    run = subprocess.run([sys.executable, "-c", MEASURE, *words], capture_output=True, text=True, check=False)
+def peak_mb(*words, piece_rows=PIECE_ROWS):
+    command = [sys.executable, "-c", MEASURE, str(piece_rows), *words]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stderr.strip().splitlines()[-1])
 
@@ -60,7 +64,7 @@ def estimates(recordings):
 
 
 def require_bounded(short, long):
-    assert long < short + ALLOWED_MB, f"{short:.0f} MB for {HOURS[0]} h, {long:.0f} MB for {HOURS[1]} h"
+    assert long < short + ALLOWED_MB, f"{short:.0f} MB for {HOURS[0]:.2f} h, {long:.0f} MB for {HOURS[1]:.2f} h"
 
 
 def test_peak_memory_of_an_estimate_does_not_grow_with_the_recording(estimates):
