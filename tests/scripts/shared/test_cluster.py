@@ -11,6 +11,7 @@ import farm_work
 import psutil
 import pytest
 from clusters import start_cluster, start_worker
+from distributed import Client
 from farm_work import lines, run_orders, work
 
 from stillpoint.datasets.errors import StillpointError
@@ -24,14 +25,18 @@ ENDED_S = 300.0  # for processes on a busy machine to do what they were told
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    with start_cluster(tmp_path_factory.mktemp("cluster"), threads=2) as started:
+    with start_cluster(tmp_path_factory.mktemp("cluster"), workers=1, threads=3) as started:
         yield started
 
 
 def test_outcomes_are_those_of_the_local_pool(cluster, capfd):
-    """Four of six inputs fail, each in its way; order, values and words are the same on both."""
+    """Four of six inputs fail, each in its way; order, values and words are the same on both.
+
+    The children of a batch end with it, and the worker stays for the next one.
+    """
     orders = ["here", "SIGSEGV", "SIGKILL", "fail", "hold 1000", "here"]
     on_cluster = run_jobs(work, orders, Workers(scheduler=cluster.address, memory_limit=400_000_000), "cluster")
+    assert _list_children(cluster.workers[0].pid) == []
     local = run_jobs(work, orders, Workers(2, memory_limit=400_000_000), "pool")
     assert [one.error for one in on_cluster] == [one.error for one in local]
     assert [one.error is None for one in local] == [True, False, False, False, False, True]
@@ -42,7 +47,7 @@ def test_outcomes_are_those_of_the_local_pool(cluster, capfd):
 
 
 def test_a_task_that_dies_of_a_signal_leaves_the_other_tasks_of_its_worker_alone(cluster, tmp_path):
-    """Each worker has two threads: what sleeps beside a crash is begun once and arrives."""
+    """The worker has three threads: what sleeps beside a crash is begun once and arrives."""
     sleepers = [f"sleep 3 {tmp_path / str(k)}" for k in range(2)]
     orders = [*sleepers, *["SIGSEGV"] * 4, "here"]
     outcomes = run_jobs(work, orders, Workers(scheduler=cluster.address), "cluster")
@@ -50,13 +55,6 @@ def test_a_task_that_dies_of_a_signal_leaves_the_other_tasks_of_its_worker_alone
     assert [one.error is None for one in outcomes] == [True, True, *[False] * 4, True]
     for k in range(2):
         assert [line.split()[0] for line in lines(tmp_path / str(k))] == ["begun", "done"]
-
-
-def test_no_process_stays_behind_a_batch(cluster):
-    """The children of a batch end with it; the workers stay for the next one."""
-    run_jobs(work, ["here"] * 4, Workers(scheduler=cluster.address), "cluster")
-    for worker in cluster.workers:
-        assert _list_children(worker.pid) == []
 
 
 def _list_children(pid: int) -> list[psutil.Process]:
@@ -67,27 +65,22 @@ def _list_children(pid: int) -> list[psutil.Process]:
 
 def test_a_worker_under_a_nanny_works_too(cluster, tmp_path):
     """A nanny makes its worker a daemon, which Python forbids to have children."""
-    with open(tmp_path / "log", "wb") as log:
+    with open(tmp_path / "log", "wb") as log, Client(cluster.address, set_as_default=False) as client:
         nanny = start_worker(cluster.address, tmp_path, log, nanny=True)
         try:
-            known = {worker.pid for worker in cluster.workers}
-            deadline = time.monotonic() + ENDED_S
-            while time.monotonic() < deadline:
-                outcomes = run_jobs(
-                    work, [f"sleep 0.5 {tmp_path / 'log'}"] * 10, Workers(scheduler=cluster.address), "w"
-                )
-                assert choose_exit_code(outcomes) == 0
-                if {one.value for one in outcomes} - known:
-                    return
-            pytest.fail("the worker under the nanny did no work")
+            client.wait_for_workers(2, timeout=ENDED_S)
+            orders = [f"sleep 0.5 {tmp_path / 'order'}"] * 8
+            outcomes = run_jobs(work, orders, Workers(scheduler=cluster.address), "cluster")
         finally:
             nanny.terminate()
             nanny.wait(ENDED_S)
+    assert choose_exit_code(outcomes) == 0
+    assert len({one.value for one in outcomes}) == 2, "both workers did some of it"
 
 
 def test_a_killed_worker_costs_no_result_and_gives_none_twice(tmp_path):
     arrived, children = [], []
-    with start_cluster(tmp_path) as cluster:
+    with start_cluster(tmp_path, workers=2) as cluster:
         orders = [f"sleep 0.5 {tmp_path / f'{k}.txt'}" for k in range(12)]
 
         def kill_once(place, outcome):

@@ -22,26 +22,26 @@ class Cluster:
 
 
 @contextmanager
-def start_cluster(folder: Path, threads: int = 1) -> Iterator[Cluster]:
-    """Start a scheduler and two workers without nannies, so that one that is killed stays away; end them."""
+def start_cluster(folder: Path, workers: int, threads: int = 1) -> Iterator[Cluster]:
+    """Start a scheduler and workers without nannies, so that one that is killed stays away; end them."""
     place = folder / "scheduler.json"
     with open(folder / "cluster.log", "wb") as log:
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(place)]
         scheduler = start_dask(["scheduler", *options], log)
-        workers: list[subprocess.Popen[bytes]] = []
+        started: list[subprocess.Popen[bytes]] = []
         try:
             deadline = time.monotonic() + START_S
             while not place.exists() or not place.read_text():
                 assert time.monotonic() < deadline, (folder / "cluster.log").read_text()
                 time.sleep(0.05)
             address = json.loads(place.read_text())["address"]
-            for _ in range(2):
-                workers.append(start_worker(address, folder, log, threads))
-            yield Cluster(address, workers)
+            for _ in range(workers):
+                started.append(start_worker(address, folder, log, threads))
+            yield Cluster(address, started)
         finally:
-            for process in (*workers, scheduler):
+            for process in (*started, scheduler):
                 process.kill()  # a worker's children watch for its end
-            for process in (*workers, scheduler):
+            for process in (*started, scheduler):
                 process.wait(30)
 
 
