@@ -143,7 +143,7 @@ def _start_and_stop_while_writing(folder):
     command = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "simulate", "phone-1"]
     for _ in range(10):  # on a busy machine, the whole file may be written between two looks
         verb = subprocess.Popen(
-            [*command, "--minutes", "20", "-o", str(folder)],
+            [*command, "--minutes", "6", "-o", str(folder)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -50,7 +50,7 @@ def test_one_flipped_bit_costs_one_chunk_at_most(whole, tmp_path):
     data, recording = whole
     rng = np.random.default_rng(5)
     losses = []
-    for at in rng.choice(len(data), 60, replace=False).tolist():
+    for at in rng.choice(len(data), 30, replace=False).tolist():
         broken = bytearray(data)
         broken[at] ^= 1 << int(rng.integers(8))
         with pytest.raises(BadFile):
@@ -67,7 +67,7 @@ def test_one_flipped_bit_costs_one_chunk_at_most(whole, tmp_path):
         assert max(lost) <= N // 3 + 100
         assert not any(lost) or found.lost
         losses.append(max(lost))
-    assert sum(count > 0 for count in losses) > 30  # most of the bytes are those of chunks
+    assert sum(count > 0 for count in losses) > 15  # most of the bytes are those of chunks
 
 
 def test_what_was_lost_stands_in_the_notes(whole, tmp_path):

@@ -15,7 +15,7 @@ def find_error_ratio(kind: str) -> float:
     """Return the mean error of ``aekf`` over the seeds, in units of that of ``ekf``."""
     errors = {"aekf": 0.0, "ekf": 0.0}
     for seed in SEEDS:
-        recording = simulate(kind, seed)
+        recording = simulate(kind, seed, rate_hz=50.0)
         assert recording.truth is not None
         for name in errors:
             errors[name] += score(estimate(recording, name), recording.truth, align="none").total_rmse_deg

@@ -51,7 +51,7 @@ def test_where_the_redistribution_refuses_the_graph_alone_judges(call, tmp_path)
 
 
 def test_a_raw_magnetometer_leaves_the_yaw_arbitrary_and_the_page_says_how_to_correct_it(call, tmp_path, capsys):
-    recording = simulate("phone-2", seed=0, minutes=1.5)
+    recording = simulate("phone-2", seed=0, minutes=1.5, rate_hz=50.0)
     assert recording.mag is not None
     iron_b_ut = np.array([90.0, -60.0, 40.0])
     mag = replace(recording.mag, mag_b_ut=recording.mag.mag_b_ut + iron_b_ut)
