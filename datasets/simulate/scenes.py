@@ -12,8 +12,11 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.recording import Floats, Imu, Recording
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.frames import rotation, slerp
+from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
 from stillpoint.datasets.simulate.generators import make_generator
+from stillpoint.datasets.simulate.measure import draw_gauss_markov
 from stillpoint.datasets.simulate.phone import Hand, simulate_experiment
 from stillpoint.datasets.simulate.sensor import PHONE, Sensor
 
@@ -85,6 +88,22 @@ def simulate_scene(
     return replace(recording, info=replace(recording.info, extra={**recording.info.extra, **facts}))
 
 
+def let_field_wander(recording: Recording, sd_ut: float, time_s: float, seed: int) -> Recording:
+    """Return the recording in a place full of iron: with errors of the field in n that wander.
+
+    They are a Gauss-Markov process with the standard deviation ``sd_ut`` per axis and the correlation time ``time_s``,
+    turned into the body by the truth. Raises :class:`BadRecording` without magnetometer or truth.
+    """
+    mag, truth = recording.mag, recording.truth
+    if mag is None or truth is None:
+        missing = "magnetometer" if mag is None else "independent truth"
+        raise BadRecording(f"{recording.name}: has no {missing}; choose a recording with one")
+    step_s = float(np.median(np.diff(mag.t_ns))) / 1e9
+    wander = draw_gauss_markov(sd_ut, time_s, step_s, len(mag.t_ns), seed, f"field {sd_ut:g} {time_s:g}")
+    q_nb = rotation(slerp(truth.t_ns, truth.q_nb, np.clip(mag.t_ns, truth.t_ns[0], truth.t_ns[-1])))
+    return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + q_nb.inv().apply(wander)))
+
+
 def _shake(recording: Recording, vibration: Vibration, rng: np.random.Generator) -> Recording:
     """Return the recording with bursts of vibration, during which gyro and accelerometer also shift."""
     imu = recording.require_imu()
@@ -92,6 +111,7 @@ def _shake(recording: Recording, vibration: Vibration, rng: np.random.Generator)
     shares = _draw_intervals(t_s, vibration.pause_s, lambda: rng.uniform(*vibration.burst_s), rng)
 
     def disturb(values: Floats, noise: float, shift: float) -> Floats:
+        """Return values (N, 3) with noise and a shift of the mean within each burst, by their standard deviations."""
         shifts = np.vstack([np.zeros(3), rng.normal(0, shift, (shares.max(), 3))])[shares]
         return np.asarray(values + shifts + (shares > 0)[:, None] * rng.normal(0, noise, values.shape))
 

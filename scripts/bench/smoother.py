@@ -3,16 +3,14 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 
-import numpy as np
 from rich.console import Console
 from rich.progress import track
-from scipy.signal import lfilter
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.recording import Mag, Recording
+from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate.scenes import let_field_wander
 from stillpoint.scripts.bench.timing import Timing, time_call
 from stillpoint.smoother import reference
 
@@ -25,26 +23,21 @@ _WANDERING_UT, _WANDERING_S = 10.0, 4.0  # sd of the disturbed field, and how lo
 _MEASURE = """
 import json, resource, sys
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.bench.smoother import let_field_wander
+from stillpoint.scripts.bench.smoother import make_long
 from stillpoint.scripts.bench.timing import time_call
 from stillpoint.smoother import reference
 reference(simulate("phone-3", minutes=2))
-recording = simulate("phone-3", minutes=60 * float(sys.argv[1]), rate_hz=float(sys.argv[2]))
-if sys.argv[3] == "wandering":
-    recording = let_field_wander(recording)
+recording = make_long(float(sys.argv[1]), float(sys.argv[2]), sys.argv[3] == "wandering")
 seconds = time_call(lambda: reference(recording))
 unit = 1 if sys.platform == "darwin" else 1024
 print(json.dumps({"seconds": seconds, "bytes": unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}))
 """
 
 
-def let_field_wander(recording: Recording) -> Recording:
-    """Return the recording in a place full of iron: a field that wanders is added to that of its magnetometer."""
-    mag = recording.mag
-    assert mag is not None
-    keep = float(np.exp(-np.median(np.diff(mag.t_ns)) / 1e9 / _WANDERING_S))
-    steps = np.random.default_rng(1).normal(size=mag.mag_b_ut.shape) * _WANDERING_UT * np.sqrt(1 - keep**2)
-    return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + lfilter([1.0], [1.0, -keep], steps, axis=0)))
+def make_long(hours: float, rate_hz: float, wandering: bool) -> Recording:
+    """Return a simulated phone in the hand over some hours, where asked for in a field that wanders."""
+    recording = simulate("phone-3", minutes=60 * hours, rate_hz=rate_hz)
+    return let_field_wander(recording, _WANDERING_UT, _WANDERING_S, seed=1) if wandering else recording
 
 
 def bench_smoother(runs: int) -> list[Timing]:

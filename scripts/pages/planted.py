@@ -17,7 +17,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, slerp
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
-from stillpoint.datasets.simulate.measure import draw_gauss_markov
+from stillpoint.datasets.simulate.scenes import let_field_wander
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
 from stillpoint.scripts.shared.flags import LOCAL
@@ -40,21 +40,22 @@ def turn_last_return(recording: Recording, angle_deg: float) -> Recording:
     first = resting[-1] - int(np.argmin(~truth.moving[: resting[-1] + 1][::-1])) + 1
     start_ns = truth.t_ns[first]
 
-    def angle_rad(t_ns: Times) -> Floats:
+    def compute_angle_rad(t_ns: Times) -> Floats:
+        """Return the planted angle (N,) about up at stamps (N,): a ramp before the rest, then constant."""
         share = np.clip((t_ns - start_ns) / 1e9 / _RAMP_S + 1, 0, 1)
         return np.asarray(np.deg2rad(angle_deg) * share)
 
     def turn_body(t_ns: Times, vector_b: Floats) -> Floats:
         """Return vectors (N, 3) of n as the turned body measures them."""
         q_nb = _find_attitude(truth, t_ns)
-        about_up = heading_rotation(angle_rad(t_ns))
+        about_up = heading_rotation(compute_angle_rad(t_ns))
         return np.asarray((q_nb.inv() * about_up.inv() * q_nb).apply(np.array(vector_b)))
 
     up_b = _find_attitude(truth, imu.t_ns).as_matrix()[:, 2]
-    rate = np.gradient(angle_rad(imu.t_ns), imu.t_ns / 1e9)
+    rate = np.gradient(compute_angle_rad(imu.t_ns), imu.t_ns / 1e9)
     gyro = imu.gyro_b_radps + rate[:, None] * up_b
     mag = recording.mag and Mag(recording.mag.t_ns, turn_body(recording.mag.t_ns, recording.mag.mag_b_ut))
-    q_nb = quaternion(heading_rotation(angle_rad(truth.t_ns)) * rotation(truth.q_nb))
+    q_nb = quaternion(heading_rotation(compute_angle_rad(truth.t_ns)) * rotation(truth.q_nb))
     return replace(
         recording,
         imu=Imu(imu.t_ns, gyro, turn_body(imu.t_ns, imu.accel_b_mps2)),
@@ -74,15 +75,6 @@ def _add_passing_magnets(recording: Recording, size_ut: float) -> Recording:
     return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + field_b))
 
 
-def _let_field_wander(recording: Recording, sd_ut: float, time_s: float) -> Recording:
-    """Return the recording with errors of the field in n, of first order with a correlation time."""
-    mag, truth = _require_mag(recording), _require_truth(recording)
-    step_s = float(np.median(np.diff(mag.t_ns))) / 1e9
-    wander = draw_gauss_markov(sd_ut, time_s, step_s, len(mag.t_ns), _SEED, f"field {sd_ut:g} {time_s:g}")
-    field_b = _find_attitude(truth, mag.t_ns).inv().apply(wander)
-    return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + field_b))
-
-
 def _put_iron_on(recording: Recording, iron_b_ut: Sequence[float]) -> Recording:
     """Return the recording with iron on the body in its second third."""
     mag = _require_mag(recording)
@@ -93,7 +85,7 @@ def _put_iron_on(recording: Recording, iron_b_ut: Sequence[float]) -> Recording:
 
 def _wander_without_rest(recording: Recording, sd_ut: float, time_s: float) -> Recording:
     """Return the middle 60 s of the recording in a field that wanders."""
-    return _keep_middle(_let_field_wander(recording, sd_ut, time_s), 60.0)
+    return _keep_middle(let_field_wander(recording, sd_ut, time_s, _SEED), 60.0)
 
 
 def _keep_middle(recording: Recording, seconds: float) -> Recording:
@@ -144,9 +136,9 @@ _PLANTED: dict[str, Callable[[Recording], Recording]] = {
     "last return turned by 5 deg": partial(turn_last_return, angle_deg=5.0),
     "magnets of 30 uT pass": partial(_add_passing_magnets, size_ut=30.0),
     "iron of 20 uT on for a third": partial(_put_iron_on, iron_b_ut=(15.0, -10.0, 8.0)),
-    "field wanders by 3 uT over 4 s": partial(_let_field_wander, sd_ut=3.0, time_s=4.0),
+    "field wanders by 3 uT over 4 s": partial(let_field_wander, sd_ut=3.0, time_s=4.0, seed=_SEED),
     **{
-        f"{sd_ut:g} uT over {time_s:g} s": partial(_let_field_wander, sd_ut=sd_ut, time_s=time_s)
+        f"{sd_ut:g} uT over {time_s:g} s": partial(let_field_wander, sd_ut=sd_ut, time_s=time_s, seed=_SEED)
         for sd_ut, times_s in ((5.0, (1.0, 4.0, 15.0, 30.0)), (10.0, (1.0, 4.0, 15.0)), (20.0, (4.0,)))
         for time_s in times_s
     },

@@ -9,7 +9,7 @@ from known_motion import between
 
 from stillpoint.datasets.recording import Mag, Recording
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.bench.smoother import let_field_wander
+from stillpoint.datasets.simulate.scenes import let_field_wander
 from stillpoint.smoother import reference
 from stillpoint.smoother.attitude import graph
 from stillpoint.smoother.attitude.evidence import gather_evidence
@@ -19,7 +19,7 @@ from stillpoint.smoother.attitude.trial import find_trial
 
 @pytest.fixture(scope="module")
 def disturbed(swings: Recording) -> Recording:
-    return let_field_wander(swings)
+    return let_field_wander(swings, 10.0, 4.0, seed=1)
 
 
 def test_trial_lies_in_the_first_window_of_a_disturbed_recording(disturbed: Recording, windowed: GraphParams) -> None:
@@ -70,7 +70,7 @@ def test_answer_is_that_of_priors_tried_on_the_whole(disturbed: Recording, monke
 @pytest.mark.slow
 def test_where_no_return_tests_the_gyro_the_readings_that_fit_are_used() -> None:
     """Leaving the magnetometer out is no way out then: the whole is solved with it, by the narrowest prior."""
-    disturbed = let_field_wander(simulate("phone-3", minutes=3))
+    disturbed = let_field_wander(simulate("phone-3", minutes=3), 10.0, 4.0, seed=1)
     second_rest_s = json.loads(disturbed.info.extra["rests_s"])[1][1]
     moving_first = between(disturbed, second_rest_s + 1.0, 180.0)
     made = reference(moving_first, params={"keys.window_s": 80.0, "keys.overlap_s": 20.0})
