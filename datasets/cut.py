@@ -63,6 +63,7 @@ def slice_stream(stream: Any, first: int, last: int) -> Any:
 
 
 def _has_rows(values: Any, count: int) -> bool:
+    """Return whether a value is an array with one row per sample."""
     return isinstance(values, np.ndarray) and values.ndim > 0 and len(values) == count
 
 

@@ -164,6 +164,7 @@ def _format_plain(each: Field[Any], value: Any) -> str:
 
 
 def _format_readable(each: Field[Any], value: Any) -> str:
+    """Return a value as text, angles in deg."""
     if isinstance(value, bool | str):
         return str(value)
     return f"{in_degrees(value) if _find_unit(each) else value:g}"

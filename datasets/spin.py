@@ -198,6 +198,7 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
         )
 
     def make_spares(term: str) -> tuple[Channel | None, ...]:  # one whose noise is infinite has no weight
+        """Return for each accelerometer the channel of a term without it, None where the others do not determine it."""
         alone = [np.where(np.arange(k) == lost, np.inf, variance) for lost in range(k)]
         return tuple(_make_channel(geometry, each, term, free, known) for each in alone)
 

@@ -152,6 +152,7 @@ def _correlate_rates(turns: _Turns) -> Floats:
     size = next_fast_len(len(a) + len(b), real=True)
 
     def correlate(x: Floats, y: Floats) -> Floats:  # at [k]: sum of x[i] y[i + k]
+        """Return the circular cross-correlation of two padded series at every lag."""
         return np.asarray(irfft(np.conj(rfft(x, size)) * rfft(y, size), size))
 
     count = np.maximum(correlate(a_known, b_known), 1.0)

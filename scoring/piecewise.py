@@ -80,6 +80,7 @@ class _Stored:
     """A trajectory in a store, with the facts of the whole; its rows also say where a truth moves."""
 
     def __init__(self, store: Store) -> None:
+        """Begin without samples; the store keeps them between two passes."""
         self.store = store
         self.name = self.recording = ""
         self.count = self.moving = 0
@@ -189,11 +190,11 @@ def _list_moving_pairs(source: _Stored, judge: _Stored) -> Iterator[Rows]:
 def _align_rows(rows: Rows, alignment: Alignment) -> ScoredPairs:
     """Return rows of paired attitudes with the alignment applied to the estimate."""
 
-    def column(name: str) -> Any:
+    def get_column(name: str) -> Any:
         return np.ascontiguousarray(rows[name]) if name in (rows.dtype.names or ()) else None
 
-    cov: Floats | None = column("cov_b_rad2")
-    q_est = alignment.attitude(column("q_est"))
+    cov: Floats | None = get_column("cov_b_rad2")
+    q_est = alignment.attitude(get_column("q_est"))
     return ScoredPairs(
-        q_est, column("q_true"), None if cov is None else alignment.covariance(cov), column("true_cov_b_rad2")
+        q_est, get_column("q_true"), None if cov is None else alignment.covariance(cov), get_column("true_cov_b_rad2")
     )

@@ -275,11 +275,12 @@ class _Sampled:
         aligned, q_true = (np.concatenate(column) for column in zip(*self._pairs, strict=True))
         raw = heading_rotation(alignment.heading_rad) * rotation(aligned) * alignment.mounting
 
-        def rmse_after(q_est: Floats, q_true: Floats) -> float:
+        def compute_rmse_deg(q_est: Floats, q_true: Floats) -> float:
+            """Return the total RMSE in deg after the alignment is found anew."""
             again = align_pairs(q_est, q_true, alignment.kind).attitude(q_est)
             return float(np.rad2deg(np.sqrt(np.mean(compute_attitude_error(again, q_true).total_rad ** 2))))
 
-        return find_conversion(quaternion(raw), q_true, rmse_after)
+        return find_conversion(quaternion(raw), q_true, compute_rmse_deg)
 
 
 class _Consistency:

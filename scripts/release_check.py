@@ -179,6 +179,7 @@ def _run_tests(name: str, interpreter: str, resolution: str) -> Outcome:
 
 
 def _find_tool(name: str) -> str:
+    """Return a program beside this Python, else its name for the search path."""
     beside = Path(sys.executable).with_name(name)
     return str(beside) if beside.exists() else name
 
@@ -192,6 +193,7 @@ def _run_command(command: Sequence[str], **environment: str) -> subprocess.Compl
 
 
 def _find_last_line(made: "subprocess.CompletedProcess[str]") -> str:
+    """Return the last line that explains how a command ended: of its errors where it failed."""
     lines = [line for text in (made.stdout, made.stderr) for line in text.strip().splitlines()[-1:]]
     return lines[-1] if made.returncode and lines else lines[0] if lines else f"exit code {made.returncode}"
 

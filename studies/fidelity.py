@@ -223,11 +223,13 @@ def _split(rows: int) -> Iterator[tuple[Any, Any]]:
 
 
 def _make_row(judge: str, recording: str, label: str, by_truth: ScoredRuns, by_judge: ScoredRuns) -> JudgedTwice:
+    """Return the RMSE in deg of an estimator on a recording by the truth and by another judge."""
     truth, other = by_truth.runs[recording, label], by_judge.runs[recording, label]
     return JudgedTwice(recording, label, judge, truth.total_rmse_deg, other.total_rmse_deg, truth.error or other.error)
 
 
 def _compute_tau(rows: Sequence[JudgedTwice], recording: str) -> tuple[int, int]:
+    """Return concordant minus discordant pairs of estimators on one recording, and all pairs."""
     mine = [row for row in rows if row.recording == recording and row.error is None]
     truth = np.array([row.truth_rmse_deg for row in mine], dtype=np.float64)
     return find_tau(truth, np.array([row.judge_rmse_deg for row in mine], dtype=np.float64))

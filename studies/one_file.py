@@ -60,6 +60,7 @@ def write_one_file(
 
 
 def _name_by_estimator(stream: Stream, name: str) -> Stream:
+    """Return the messages of an estimate on topics with the name of its estimator."""
     return replace(stream, topic=stream.topic.replace("/estimate/", f"/estimate/{name}/", 1), group=f"estimate {name}")
 
 
@@ -78,13 +79,13 @@ def make_layout(topics: Sequence[str]) -> dict[str, Any]:
     errors = [topic for topic in topics if topic.startswith("/error/")]
     poses = [topic for topic in topics if topic.endswith("/pose")]
     plots = [
-        _plot("error, deg", [f"{topic}.vector.x" for topic in errors]),
-        _plot("heading error, deg", [f"{topic}.vector.y" for topic in errors]),
-        _plot("inclination error, deg", [f"{topic}.vector.z" for topic in errors]),
-        _plot("gyro, rad/s", [f"/imu/data_raw.angular_velocity.{axis}" for axis in "xyz"]),
+        _make_plot("error, deg", [f"{topic}.vector.x" for topic in errors]),
+        _make_plot("heading error, deg", [f"{topic}.vector.y" for topic in errors]),
+        _make_plot("inclination error, deg", [f"{topic}.vector.z" for topic in errors]),
+        _make_plot("gyro, rad/s", [f"/imu/data_raw.angular_velocity.{axis}" for axis in "xyz"]),
     ]
     if "/imu/mag" in topics:
-        plots.append(_plot("field, T", [f"/imu/mag.magnetic_field.{axis}" for axis in "xyz"]))
+        plots.append(_make_plot("field, T", [f"/imu/mag.magnetic_field.{axis}" for axis in "xyz"]))
     kept = [plot for plot in plots if plot["paths"]]
     panels: dict[str, Any] = {f"Plot!{k}": plot for k, plot in enumerate(kept)}
     panels["3D!poses"] = {
@@ -101,7 +102,8 @@ def make_layout(topics: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _plot(title: str, paths: Sequence[str]) -> dict[str, Any]:
+def _make_plot(title: str, paths: Sequence[str]) -> dict[str, Any]:
+    """Return a panel of Foxglove's layout that plots these paths."""
     series = [{"value": path, "enabled": True, "timestampMethod": "receiveTime"} for path in paths]
     return {"title": title, "paths": series, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}
 

@@ -150,4 +150,5 @@ def compute_largest_difference_rad(kept: Made, made: Made) -> float:
 
 
 def _compute_angles_rad(q_a: Floats, q_b: Floats) -> Floats:
+    """Return the angle (N,) between attitudes (N, 4)."""
     return np.asarray((rotation(q_a).inv() * rotation(q_b)).magnitude(), dtype=np.float64)

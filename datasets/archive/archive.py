@@ -385,6 +385,7 @@ class Archive:
         return describe_object(self.storage.path(record.object_key), record.file_name)
 
     def _find_kind(self, sha256: str) -> str:
+        """Return the kind of an object in the catalogue, "" where it is not there."""
         rows = self.catalogue.select("SELECT kind FROM objects WHERE sha256 = ?", (sha256,))
         return str(rows[0]["kind"]) if rows else ""
 

@@ -201,6 +201,7 @@ def _describe_json(path: Path, file_name: str) -> Description:
 
 
 def _is_rows(value: Any) -> TypeGuard[list[dict[str, Any]]]:
+    """Return whether a value is a list of at least one mapping."""
     return isinstance(value, list) and bool(value) and all(isinstance(row, dict) for row in value)
 
 

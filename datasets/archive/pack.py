@@ -94,6 +94,7 @@ def _write_tar(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
 
 @contextmanager
 def _open_content(content: Path | bytes) -> Iterator[IO[bytes]]:
+    """Open a file, or bytes as a file, for reading."""
     with io.BytesIO(content) if isinstance(content, bytes) else open_binary(content) as file:
         yield file
 

@@ -134,6 +134,7 @@ def _read_field(name: Any) -> str:
 
 
 def _join(word: str, parts: list[Condition]) -> Condition:
+    """Return the conditions in brackets with a word of SQL between them."""
     sql = word.join(f"({part.sql})" for part in parts)
     return Condition(sql, tuple(value for part in parts for value in part.parameters))
 

@@ -94,4 +94,5 @@ def record_from_bytes(data: bytes, where: str) -> Record:
 
 
 def _hash_plain(plain: Mapping[str, object]) -> str:
+    """Return the SHA-256 of the JSON of plain values with sorted keys."""
     return hashlib.sha256(json.dumps(plain, sort_keys=True, ensure_ascii=True).encode()).hexdigest()

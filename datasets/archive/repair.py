@@ -85,6 +85,7 @@ def repair_archive(archive: Archive, faults: Sequence[Fault], copies: Copies | N
 
 
 def _find_record(archive: Archive, sha256: str, copies: Copies | None) -> Record | None:
+    """Return the record of an object from the copies, else from the catalogue."""
     found = copies.find_record(sha256) if copies is not None else None
     return found or archive.read_catalogued_record(sha256)
 

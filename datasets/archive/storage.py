@@ -101,6 +101,7 @@ class _RemoteStorage:
     """Files behind an fsspec URL: S3, HTTP servers that take uploads, memory://, any other."""
 
     def __init__(self, url: str) -> None:
+        """Open the file system of a URL; raises :class:`BadParameter`."""
         self.name = url.rstrip("/")
         self._fs: Any
         self._fs, self._root = open_url(self.name)

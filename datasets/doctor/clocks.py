@@ -65,6 +65,7 @@ def _check_stream(name: str, t_ns: Times) -> list[Finding]:
 
 
 def _report_rate(name: str, t_ns: Times, step_s: float) -> Finding:
+    """Return the fact about rate, samples and length of a stream with stamps (N,)."""
     seconds = float(t_ns[-1] - t_ns[0]) / 1e9
     message = f"{name}: {1 / step_s:.2f} Hz, {len(t_ns)} samples in {seconds:.1f} s"
     return Finding(f"{name}-rate", "fact", message, values={"rate_hz": 1 / step_s, "duration_s": seconds})

@@ -78,6 +78,7 @@ class _Case:
         self.findings: list[Finding] = []
 
     def run_test(self, test: Callable[[Recording], Iterable[Finding]]) -> None:
+        """Run a test on the recording as the remedies so far leave it."""
         self.add_findings(test(self.now))
 
     def add_findings(self, findings: Iterable[Finding]) -> None:

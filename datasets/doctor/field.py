@@ -42,6 +42,7 @@ class Dips:
 
     @cached_property
     def _groups(self) -> list[NDArray[np.bool_]]:
+        """Return one mask (N,) per group of readings."""
         return [self.group == each for each in np.unique(self.group)]
 
     def dips_deg(self) -> Floats:

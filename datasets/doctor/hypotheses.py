@@ -255,6 +255,7 @@ def _describe(hypothesis: Hypothesis) -> str:
 
 
 def _drop_advice(message: str) -> str:
+    """Return a message without what follows its first semicolon, the advice."""
     return message.split("; ")[0]
 
 

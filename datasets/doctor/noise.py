@@ -113,6 +113,7 @@ def find_calm_seconds(imu: Imu) -> Times:
 
 
 def _number_bins(t_ns: Times, width_s: float) -> Times:
+    """Return the number of the bin (N,) in which each stamp lies, from 0 on."""
     return np.asarray((t_ns - t_ns[0]) // int(width_s * 1e9))
 
 

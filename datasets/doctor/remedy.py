@@ -102,6 +102,7 @@ def _multiply(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
 
 
 def _subtract_offset(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Subtract the remedy's vector from the readings of a sensor."""
     values = _get_values(recording, remedy.target) - np.asarray(remedy.values)
     return _replace_values(recording, remedy.target, values), ""
 
@@ -174,6 +175,7 @@ def _keep_rows(recording: Recording, target: str, keep: np.ndarray) -> tuple[Rec
 
 
 def _select_rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:
+    """Return the rows of a stream that a mask (N,) keeps, at other stamps (N,)."""
     columns = {name: value[keep] for name, value in vars(stream).items() if isinstance(value, np.ndarray)}
     return replace(stream, **(columns | {"t_ns": t_ns[keep]}))
 
@@ -192,16 +194,19 @@ def _drop_stream(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
 
 
 def _conjugate_truth(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Replace the attitudes of the truth by their inverses."""
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, q_nb=recording.truth.q_nb * [1.0, -1.0, -1.0, -1.0])), ""
 
 
 def _reorder_truth(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Read the components of the truth's quaternions as xyzw."""
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, q_nb=from_xyzw(recording.truth.q_nb))), ""
 
 
 def _reorder_truth_back(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    """Read the components of the truth's quaternions as wxyz where they were taken for xyzw."""
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, q_nb=to_xyzw(recording.truth.q_nb))), ""
 

@@ -34,6 +34,7 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
     known = np.hstack([rate, np.ones((len(rate), 1))])
 
     def average_at_lag(lag_s: float) -> Floats:
+        """Return the mean rates (n, 3) of the gyro over the truth's steps if its stamps are late by this."""
         return gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
 
     def compute_loss(lag_s: float) -> Floats:
@@ -92,6 +93,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
         return None
 
     def average_at_lag(lag_s: float) -> Floats:
+        """Return the mean specific force (n, 3) in the windows if its stamps are late by this."""
         return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / _FORCE_WINDOW_S
 
     usual = 0.1 * STANDARD_GRAVITY_MPS2

@@ -55,6 +55,7 @@ class Series:
         return 0.5 * (early + self.between(start_s + quarter, end_s + quarter))
 
     def _interpolate_integral(self, t_s: Floats) -> Floats:
+        """Return the integral (n, 3) from the beginning to times (n,)."""
         return np.stack([np.interp(t_s, self.t_s, column) for column in self.integral.T], axis=1)
 
     def touches_gap(self, start_s: Floats, end_s: Floats) -> NDArray[np.bool_]:
@@ -132,6 +133,7 @@ class Grid:
         self._thin_windows(find_large_sizes(size))
 
     def _thin_windows(self, rows: NDArray[np.bool_]) -> None:
+        """Keep the windows of a mask, thinned to at most twice _MOST_WINDOWS."""
         stride = max(1, int(rows.sum()) // _MOST_WINDOWS)
         self.first, self.last = self.first[rows][::stride], self.last[rows][::stride]
 

@@ -84,4 +84,5 @@ def check_field_unit(recording: Recording, hard_iron_b_ut: Floats | None) -> lis
 
 
 def _make_scaling(factor: float) -> tuple[float, ...]:
+    """Return nine numbers of a matrix that multiplies all axes by a factor."""
     return (factor, 0.0, 0.0, 0.0, factor, 0.0, 0.0, 0.0, factor)

@@ -95,6 +95,7 @@ def _find_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _share_around(mask: NDArray[np.bool_], width: int) -> Floats:
+    """Return the share (N,) of a mask that is True in a window around each sample."""
     width = min(width, len(mask))
     return np.asarray(np.convolve(mask, np.ones(width) / width, mode="same"))
 

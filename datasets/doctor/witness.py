@@ -245,6 +245,7 @@ def _make_robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Calla
 
 
 def _make_bias_columns(at: Windows, centre: Floats) -> Floats:
+    """Return columns (n, 3, 3): how each component of the gyro's bias changes the turned vector."""
     return np.asarray(np.einsum("kli,nl->nki", LEVI_CIVITA, at.mean_dt - centre * at.length_s))
 
 

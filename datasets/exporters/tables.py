@@ -97,4 +97,5 @@ def _make_spin_table(spin: Spin) -> Table:
 
 
 def _name_columns(names: "list[str] | tuple[str, ...]", values: Floats) -> Table:
+    """Return the columns of values (N, k) by their names."""
     return dict(zip(names, values.T, strict=True))

@@ -131,6 +131,7 @@ def _name_algorithm(value: str | None) -> str | None:
 
 
 def _parse_sums(text: str) -> dict[str, str]:
+    """Return the SHA-256 by path from lines as ``sha256sum`` writes them."""
     pairs = (line.split("  ", 1) for line in text.splitlines() if "  " in line)
     return {path: value for value, path in pairs}
 

@@ -122,6 +122,7 @@ def find_source(name: str) -> Source:
 
 
 def _is_meant(text: str, trial: str) -> bool:
+    """Return whether a text means a trial: by its number or by a pattern."""
     return trial.startswith(f"{text}_") or fnmatchcase(trial, text)
 
 

@@ -105,6 +105,7 @@ def remove_stale_parts(folder: Path) -> int:
 
 @cache
 def _remove_stale_parts_once(folder: Path) -> int:
+    """Remove stale parts of a folder, once in this process; return how many there were."""
     return remove_stale_parts(folder)
 
 

@@ -218,6 +218,7 @@ class _Reading:
         return Truth(series.t_ns, series.values[:, :4], series.values[:, 7] > 0, position_n_m)
 
     def _read_clock(self, what: str) -> Clock:
+        """Return the clock of a sensor: its own time column, else the common one."""
         time = getattr(self.options, f"{what}_time")
         return read_clock(self.table, self.options, self.log, time, f"--{what}-time" if time else "--time")
 

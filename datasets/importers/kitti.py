@@ -34,6 +34,7 @@ def find_kitti(source: Path) -> list[Path]:
 
 
 def _is_oxts(folder: Path) -> bool:
+    """Return whether a folder holds samples of OXTS, not scans of the laser."""
     return any((folder / "data").glob("*.txt")) and "velodyne" not in folder.name
 
 

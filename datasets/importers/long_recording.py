@@ -114,6 +114,7 @@ class Collector:
 
 
 def _make_mag(rows: NDArray[np.int64]) -> Mag | None:
+    """Return the magnetometer from rows (N, 4) of ns and the bits of µT; None without rows."""
     return Mag(rows[:, 0], rows[:, 1:4].view(np.float64)) if len(rows) else None
 
 

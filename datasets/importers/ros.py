@@ -147,6 +147,7 @@ def choose_topics(bag: RosFiles, options: RosOptions, log: Log) -> Topics:
 
 
 def _get_kind(bag: RosFiles, topic: str) -> str:
+    """Return the type of a topic; raises :class:`BadParameter` where the bag does not have it."""
     if topic not in bag.types:
         raise BadParameter(f"--body-frame: {bag.source} has no topic {topic}; leave the frame out")
     return bag.types[topic]
@@ -157,6 +158,7 @@ def _list_topics(bag: RosFiles) -> str:
 
 
 def _find_topics(bag: RosFiles, kinds: tuple[str, ...]) -> list[str]:
+    """Return the topics of these types that have messages, sorted."""
     return sorted(topic for topic, kind in bag.types.items() if kind in kinds and bag.counts.get(topic, 0))
 
 

@@ -403,6 +403,7 @@ def _make_messages(
         return np.asarray(values[:, int(place[:-1])] if bracket else values, np.float64)
 
     def text(leaf: str) -> NDArray[Any]:
+        """Return a leaf of text (n,), empty where the messages have none."""
         values = columns.get(prefix + leaf)
         return np.full(n, "") if values is None else np.char.decode(values, "utf-8", "replace")
 

@@ -91,6 +91,7 @@ def _settle_poses(messages: Messages, log: Log) -> Series:
 
 
 def _is_direct(messages: Messages, parent: str, child: str) -> bool:
+    """Return whether messages state the pose of the child in the parent, without links between."""
     return bool(((messages.frames == parent) & (messages.children == child)).any())
 
 
@@ -202,6 +203,7 @@ def _find_ancestors(frame: str, moving: Messages, fixed: Messages | None) -> tup
 
 
 def _select_child(messages: Messages, child: str) -> Messages:
+    """Return the messages about this child frame."""
     return messages.where(np.array([strip_slash(name) == child for name in messages.children], dtype=np.bool_))
 
 

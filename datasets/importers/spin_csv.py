@@ -95,6 +95,7 @@ def _read_geometry(file: Path, range_g: float | None) -> SpinGeometry:
 
 
 def _normalise(axes: Floats) -> Floats:
+    """Return axes (k, 3) of length 1; zeros stay zeros."""
     size = np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(axes / np.where(size > 0, size, 1.0))
 

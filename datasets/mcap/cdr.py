@@ -198,6 +198,7 @@ class _Walk:
         self._add_place(path, dtype if count is None else (dtype, (count,)), size)
 
     def _align(self, size: int) -> None:
+        """Move the end to a multiple of a size, as CDR does and ROS 1 does not."""
         if self.aligned:
             self.end += -(self.end - _ENCAPSULATION) % size
 

@@ -112,6 +112,7 @@ def _list_fields(thing: Any) -> dict[str, Any]:
 
 
 def _restore_special(item: dict[str, Any]) -> Any:
+    """Return the number that an object of :func:`_to_plain` stands for; other objects stay."""
     return float(item[_NOT_FINITE]) if item.keys() == {_NOT_FINITE} else item
 
 

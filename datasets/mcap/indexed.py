@@ -188,6 +188,7 @@ class IndexedScan(Scan):
 
 
 def _find_chunk_end(chunk: ChunkIndex) -> int:
+    """Return the offset behind a chunk and its message indexes."""
     return chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
 
 

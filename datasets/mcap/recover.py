@@ -303,6 +303,7 @@ def _drop_unpaired(blocks: list[Block], found: _Found, kind: str) -> list[Block]
 
 
 def _collect_stamps(blocks: list[Block], number: int) -> NDArray[np.uint64]:
+    """Return the log times (N,) in ns of a channel in all blocks."""
     found = [block.heads[number]["log_time"] for block in blocks if number in block.heads]
     return np.concatenate(found) if found else np.empty(0, np.uint64)
 

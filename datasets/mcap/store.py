@@ -206,6 +206,7 @@ def _cut_time(thing: Kept, start_ns: int, end_ns: int | None) -> Kept | Piece:
     """Return the samples of all streams from one time to before another."""
 
     def cut(stream: Any) -> Any:
+        """Return the samples of a stream between the two times."""
         last = len(stream.t_ns) if end_ns is None else int(np.searchsorted(stream.t_ns, end_ns))
         return slice_stream(stream, int(np.searchsorted(stream.t_ns, start_ns)), last)
 

@@ -556,6 +556,7 @@ class _Merged:
         return _find_time(self._times, t_ns)
 
     def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of a stream among some messages, and their offsets from the beginning of the first one."""
         own = self._own[stream]
         rows = slice(*np.searchsorted(own, [first, last]).tolist())
         return rows, self._begins[own[rows]] - self._begins[first]
@@ -670,6 +671,7 @@ class _Writer:
         self.counts: dict[int, int] = {}
 
     def write_bytes(self, data: bytes) -> None:
+        """Write bytes, and add them to position and checksum."""
         self.file.write(data)
         self.position += len(data)
         self.crc = crc32(data, self.crc)

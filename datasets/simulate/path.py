@@ -147,6 +147,7 @@ class Path:
         return [chain.derivative(2) for chain in self.place_n_m]
 
     def _clip_time(self, t_s: ArrayLike) -> Floats:
+        """Return times (N,) within the path."""
         return np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)
 
 

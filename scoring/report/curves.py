@@ -78,13 +78,13 @@ def coarsen_curve(curve: Curve, columns: int, middle: Middle = "mean") -> Curve:
         return curve
     padding = -len(curve.middle) % group
 
-    def fold(values: Floats) -> Floats:
+    def make_groups(values: Floats) -> Floats:
         return np.pad(values, (0, padding), constant_values=np.nan).reshape(-1, group)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a stretch within a gap has no value
-        least, greatest = np.nanmin(fold(curve.least), axis=1), np.nanmax(fold(curve.greatest), axis=1)
-        parts = fold(curve.middle)
+        least, greatest = np.nanmin(make_groups(curve.least), axis=1), np.nanmax(make_groups(curve.greatest), axis=1)
+        parts = make_groups(curve.middle)
         central = np.sqrt(np.nanmean(parts**2, axis=1)) if middle == "rms" else np.nanmean(parts, axis=1)
     return Curve(curve.start_s, curve.step_s * group, least, greatest, central)
 

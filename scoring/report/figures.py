@@ -191,6 +191,7 @@ def break_line(t: Floats, value: Floats, longest_step: float, largest_jump: floa
 
 
 def _draw_angle_lines(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style: Any) -> None:
+    """Draw roll, pitch and yaw in deg of attitudes (N, 4), one axes each."""
     shown = view.select(t_ns)
     for ax, column_rad in zip(axes, euler(q_nb[shown], view.frame).T, strict=True):
         _draw_series(ax, view, t_ns[shown], np.rad2deg(column_rad), WRAP_DEG, **style)

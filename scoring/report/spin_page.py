@@ -139,6 +139,7 @@ def _describe_estimate(estimate: Estimate) -> str:
 
 
 def _describe_counts(diagnostics: Mapping[str, Any]) -> str:
+    """Return the counts of an estimator that are not 0 as text."""
     counts = [f"{key[2:].replace('_', ' ')} {n}" for key, n in diagnostics.items() if key.startswith("n_") and n]
     return ", ".join(counts) or "nothing unusual"
 

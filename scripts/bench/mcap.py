@@ -187,6 +187,7 @@ def _count_bytes(recording: Recording) -> int:
 
 
 def _measure(path: Path) -> dict[str, float]:
+    """Return time and memory of reading a file, measured in a process of its own."""
     done = subprocess.run([sys.executable, "-c", _MEASURE, str(path)], capture_output=True, text=True, check=True)
     result: dict[str, float] = json.loads(done.stdout)
     return result

@@ -97,5 +97,6 @@ def _time_verb(verb: str, folder: Path, environment: dict[str, str]) -> float:
 
 
 def _time_command(program: str, *words: str, **environment: str) -> str:
+    """Run a Python program in a process with these variables, and return what it prints."""
     command = [sys.executable, "-c", program, *words]
     return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=True).stdout

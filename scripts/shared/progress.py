@@ -53,6 +53,7 @@ def _log_lines(what: str, total: int) -> Iterator[Callable[[], None]]:
         done += 1
 
     def print_lines() -> None:
+        """Print a line about the progress every LOG_EVERY_S until the work has ended."""
         while not ended.wait(LOG_EVERY_S):
             text = f"{what}: {done} of {total} done after {time.monotonic() - begin:.0f} s"
             print_line(text, file=sys.stderr, flush=True)

@@ -71,5 +71,6 @@ class Unwinding:
 
 
 def _send_later(number: signal.Signals) -> None:
+    """Send a signal to this process after a short time."""
     time.sleep(_AGAIN_AFTER_S)
     os.kill(os.getpid(), number)

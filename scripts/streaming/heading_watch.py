@@ -14,6 +14,7 @@ class HeadingWatch:
     """Waits for the first field, or for the first fix where the heading comes from fixes."""
 
     def __init__(self, names: Sequence[str], heading: Heading) -> None:
+        """Begin to watch; ``names`` are the estimators that use the heading."""
         self._of = ", ".join(names)
         self._by_course = heading == "gps-course"
         self._is_done = False

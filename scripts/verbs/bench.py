@@ -66,6 +66,7 @@ def bench(
 
 
 def _format_cells(row: dict[str, Any]) -> list[str]:
+    """Return a row of timings as text, in s and ns."""
     median, least, most = (f"{row[key]:.3f}" for key in ("median_s", "min_s", "max_s"))
     per_sample = "" if row["per_sample_ns"] is None else f"{row['per_sample_ns']:.0f}"
     return [row["name"], row["against"] or "", median, _format_ratio(row), per_sample, least, most, str(row["runs"])]

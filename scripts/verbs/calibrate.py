@@ -123,6 +123,7 @@ def _list_drift(device: DeviceCalibration) -> list[dict[str, Any]]:
 
 
 def _list_facts(device: DeviceCalibration) -> dict[str, Any]:
+    """Return the calibration of a device for ``--json``."""
     names = ("gyro_matrix", "gyro_matrix_sd", "accel_matrix", "accel_matrix_sd", "accel_bias_b_mps2")
     columns = {name: getattr(device, name).tolist() for name in (*names, "accel_bias_sd_mps2")}
     return {**columns, "split": device.split, "split_of_one": device.split_of_one}
@@ -131,7 +132,8 @@ def _list_facts(device: DeviceCalibration) -> dict[str, Any]:
 def _make_rows(device: DeviceCalibration) -> list[list[str]]:
     """Return the rows of the table: each recording by itself, then the device; percent and m/s^2."""
 
-    def cells(parts: Any, sd: Any, bias: Any) -> list[str]:
+    def format_cells(parts: Any, sd: Any, bias: Any) -> list[str]:
+        """Return deviations with their sd in percent, and the bias in m/s^2, as text."""
         pairs = [f"{100 * value:.2f} ± {100 * each:.2f}" for value, each in zip(parts, sd, strict=True)]
         return [*pairs, " ".join(f"{value:.3f}" for value in bias)]
 
@@ -140,8 +142,8 @@ def _make_rows(device: DeviceCalibration) -> list[list[str]]:
     parts = np.concatenate([(matrix - np.eye(3)).ravel()[upper] for matrix, _ in matrices])
     sd = np.concatenate([each.ravel()[upper] for _, each in matrices])
     rows = zip(device.names, device.parts, device.parts_sd, device.biases_b_mps2, strict=True)
-    alone = [[name, *cells(parts, sd, bias)] for name, parts, sd, bias in rows]
-    return [*alone, ["the device", *cells(parts, sd, device.accel_bias_b_mps2)]]
+    alone = [[name, *format_cells(parts, sd, bias)] for name, parts, sd, bias in rows]
+    return [*alone, ["the device", *format_cells(parts, sd, device.accel_bias_b_mps2)]]
 
 
 def _draw(path: Path, device: DeviceCalibration) -> None:

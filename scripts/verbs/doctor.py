@@ -136,6 +136,7 @@ def doctor(
 
 
 def _choose_severities(errors: bool, single: bool) -> tuple[Severity, ...]:
+    """Return which findings are printed: all of a single file, errors and warnings of several."""
     if errors:
         return ("error",)
     return SEVERITIES if single else ("error", "warning")

@@ -31,6 +31,8 @@ _COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
 
 @dataclass(frozen=True)
 class _Job:
+    """An estimate to make: of which recording, into which file, by which run, with which calibration."""
+
     source: Path
     target: Path
     run: Run

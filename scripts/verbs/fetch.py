@@ -69,6 +69,7 @@ def fetch(
 
 
 def _print_fetched(one: Fetched) -> None:
+    """Print the name of a file that was downloaded; nothing for one that was there."""
     if one.downloaded:
         print_line(f"  {one.path.name}", flush=True)
 

@@ -346,6 +346,7 @@ def _read_long(item: _Item) -> LongRecording | None:
 
 
 def _measure_size(path: Path) -> int:
+    """Return the bytes of a file, or of the files in a folder."""
     files = path.iterdir() if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files if file.is_file())
 

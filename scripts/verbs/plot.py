@@ -117,6 +117,7 @@ def _choose_tables(board: "Leaderboard", wanted: str) -> "Sequence[Table]":
 
 
 def _name_table(table: "Table") -> str:
+    """Return group, order, judge and input of a table in words."""
     whose = f"{table.name}, " if table.name else ""
     return f"{whose}by {table.ranked_by} against {table.against}, input {table.inputs}"
 

@@ -57,6 +57,7 @@ def _recover_into(folder: Path, path: Path) -> Recovered:
 
 
 def _print_recovered(target: Path, found: Recovered) -> None:
+    """Print how many messages a rescued file has, and what was lost."""
     print_line(f"{target}: {sum(found.kept.values())} messages")
     for line in found.lost or ("nothing",):
         print_line(f"    lost: {line}")

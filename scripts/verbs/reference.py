@@ -70,6 +70,8 @@ class _Known:
 
 @dataclass(frozen=True)
 class _Job:
+    """A reference to make: of which recording, into which file, by which method."""
+
     source: Path
     target: Path
     method: str

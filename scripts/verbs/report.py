@@ -72,6 +72,8 @@ def report(
 
 @dataclass(frozen=True)
 class _Page:
+    """A page to write: about which recording, into which file."""
+
     source: Path
     target: Path
 

@@ -153,6 +153,7 @@ def validate(
 
 
 def _decide(source: Path, methods: list[str], align: AlignKind) -> Deciding:
+    """Return what the validation of a recording depends on."""
     return Deciding((source,), {"methods": methods, "align": align})
 
 
@@ -194,6 +195,7 @@ def _validate_spins(
 
 
 def _decide_spin(job: tuple[Path, str], align: AlignKind) -> Deciding:
+    """Return what the validation of a spin recording depends on."""
     source, name = job
     return Deciding((source,), {"spin": name, "align": align})
 
@@ -239,6 +241,7 @@ def _validate_fidelity(
 
 
 def _format_fidelity(judge: JudgeFidelity) -> list[str]:
+    """Return the row of a judge as text: Kendall's tau, relative errors and verdicts."""
     figures = (judge.tau_pooled, judge.tau_median, judge.tau_worst)
     shares = (judge.relative_rmse_median, judge.relative_rmse_p95)
     return [

@@ -253,6 +253,7 @@ def _parse_table(content: Mapping[str, Any], rows: list[Row], pairs: list[Pair])
 
 
 def _parse_row(content: Mapping[str, Any]) -> Row:
+    """Return a row from its JSON."""
     summaries = {name: _parse_summary(content[name]) for name in content if name.endswith("_rmse_deg")}
     rank = None if content["rank"] is None else tuple(content["rank"])
     return Row(**{**content, **summaries, "rank": rank})

@@ -109,6 +109,7 @@ def find_calibration(source: Source, calibration: str, references: References) -
 
 
 def _name_input(calibration: str) -> str:
+    """Return what a page calls the input with this calibration."""
     return {NONE: "raw", REFERENCE: "calibrated"}.get(calibration, Path(calibration).name.partition(".")[0])
 
 

@@ -101,6 +101,7 @@ def _find_ratio(pair: Pair, best: str) -> tuple[float, float, float, str]:
 
 
 def _get_summary(row: Row, table: Table) -> Summary:
+    """Return the figures by which the table is ranked."""
     found: Summary = getattr(row, f"{table.ranked_by}_rmse_deg")
     return found
 

@@ -203,6 +203,7 @@ def _has_heading(row: Row) -> bool:
 
 
 def _name_judges(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]) -> str:
+    """Return the kinds of judge of these runs in words."""
     kinds = {_find_kind(runs.runs[name, label].against) for name in names for label in labels}
     return " and ".join(sorted(kinds, reverse=True)) or _TRUTH
 

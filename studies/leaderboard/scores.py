@@ -180,6 +180,7 @@ def _unpack_mask(kept: Result) -> Mask:
 
 
 def _unite(masks: list[Mask]) -> Mask:
+    """Return which samples (N,) any of the masks covers."""
     return np.logical_or.reduce(masks) if masks else np.zeros(0, dtype=np.bool_)
 
 

@@ -71,4 +71,5 @@ def _is_judged_alike(against: str, wanted: str) -> bool:
 
 
 def _is_round(value: float) -> bool:
+    """Return whether a number begins with 2 or 5, as ticks between decades do."""
     return f"{value:e}"[0] in "25"

@@ -125,6 +125,7 @@ def make_frame(board: Leaderboard) -> "pd.DataFrame":
 
 
 def _flatten_summary(error: str, summary: Summary | None) -> dict[str, Any]:
+    """Return the figures of an error under the names of columns; None for each without a summary."""
     low, high = (None, None) if summary is None else summary.ci95
     statistics = {f"{error}_rmse_{name}_deg": getattr(summary, name, None) for name in _STATISTICS}
     return {**statistics, f"{error}_rmse_low95_deg": low, f"{error}_rmse_high95_deg": high}

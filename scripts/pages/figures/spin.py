@@ -144,6 +144,7 @@ def _draw_errors() -> Figure:
 
 
 def _add_errors(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
+    """Return the sensor with errors of its accelerometers and a tilted shaft."""
     radial, tangential = replace(sensor.radial, **_ERRORS), replace(sensor.tangential, **_ERRORS)
     return replace(sensor, name="docs", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
 

@@ -59,6 +59,7 @@ class _Roles(Preprocessor):
 
 
 def _name_target(match: re.Match[str]) -> str:
+    """Return what the API pages show for a role of Sphinx."""
     short, target = match.groups()
     return f"`{target.rpartition('.')[2] if short else target}`"
 

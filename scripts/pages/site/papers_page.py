@@ -255,6 +255,7 @@ def _format_line(*cells: str) -> str:
 
 
 def _select(rows: _Rows, **wanted: str) -> list[_Row]:
+    """Return the rows that have these values."""
     return [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
 
 

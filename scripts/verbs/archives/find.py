@@ -142,6 +142,7 @@ def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]],
 
 
 def _format_stream(one: dict[str, Any]) -> list[str]:
+    """Return the row of a stream as text."""
     numbers = (f"{one[key]:.3f}" for key in ("rate_hz", "start_s", "length_s"))
     return [one["stream"], str(one["samples"]), *numbers, str(one["gaps"])]
 

@@ -28,6 +28,8 @@ Online = Annotated[bool, Parameter(negative=())]
 
 @dataclass(frozen=True)
 class _Job:
+    """A simulated mission to score."""
+
     sea: SeaKind
     seed: int
     online: bool
@@ -35,6 +37,8 @@ class _Job:
 
 @dataclass(frozen=True)
 class _File:
+    """A recording to score."""
+
     file: Path
     online: bool
 

@@ -54,6 +54,8 @@ AS_RECORDED = Correction()
 
 @dataclass(frozen=True)
 class _Job:
+    """A simulated trial to score."""
+
     scenario: Scenario
     hand: str
     seed: int
@@ -61,6 +63,8 @@ class _Job:
 
 @dataclass(frozen=True)
 class _File:
+    """A recording to score, with the calibration that was asked for."""
+
     path: Path
     calibration: str  # none, reference or a file
 
@@ -145,6 +149,7 @@ def _run_experiment(
 
 
 def _score_file(file: _File) -> Trial:
+    """Return the scores of a recording, corrected where a calibration was asked for."""
     recording, digest = open_recording(file.path), sha256(file.path)
     known = find_calibration(file.calibration, recording, file.path, digest, (file.path.parent,))
     return score_trial(recording, corrected=None if known is None else apply_calibration(recording, known, digest))
@@ -183,6 +188,7 @@ def _print_results(
 
 
 def _format_cells(row: Mapping[str, Any]) -> list[str]:
+    """Return a row as text: RMSE / largest error of each Euler angle, then the other errors; deg."""
     pairs = zip(row["euler"][::2], row["euler"][1::2], strict=True)
     beside = ["-" if value is None else f"{value:.2f}" for value in row["beside"]]
     return [row["hand"], row["judge"], row["method"], *(f"{rmse:.2f} / {most:.1f}" for rmse, most in pairs), *beside]

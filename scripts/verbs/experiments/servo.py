@@ -19,6 +19,8 @@ _SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate
 
 @dataclass(frozen=True)
 class _Job:
+    """A simulated bench to score."""
+
     seed: int
     minutes: float
 

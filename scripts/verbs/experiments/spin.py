@@ -64,6 +64,8 @@ class SpinTrials(Trials):
 
 @dataclass(frozen=True)
 class _Job:
+    """A simulated trial to score."""
+
     scenario: Scenario
     noise: NoiseKind
     seed: int
@@ -73,6 +75,8 @@ class _Job:
 
 @dataclass(frozen=True)
 class _File:
+    """A recording to score, numbered among those given."""
+
     scenario: Scenario
     file: Path
     number: int
@@ -158,6 +162,7 @@ def _make_rows(trials: Sequence[Trial]) -> list[list[str]]:
 
 
 def _list_facts(one: Trial) -> list[dict[str, Any]]:
+    """Return the scores of a trial for ``--json``, and why methods were refused."""
     place = {"noise": one.noise, "seed": one.seed}
     scored = [{**place, **spin_score_row(score), "method": method} for method, score in one.scores.items()]
     return scored + [{**place, "method": method, "error": error} for method, error in one.refused.items()]

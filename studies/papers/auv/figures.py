@@ -94,6 +94,7 @@ def _draw_fixes(ax: Axes, series: Series, span: Span, value_deg: Floats) -> None
 
 
 def _draw_line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
+    """Draw a value in deg over a span; a wrap by 360 deg breaks the line."""
     inside = slice(*np.searchsorted(series.t_s, span))
     draw_line(ax, series.t_s[inside], value[inside], largest_jump=WRAP_DEG, **style)
 

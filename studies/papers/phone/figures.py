@@ -98,6 +98,7 @@ def draw_map(axes: Sequence[Axes], map_deg: Floats, printed_deg: Sequence[float]
 
 
 def _draw_line(ax: Axes, t_s: Floats, value: Floats, span: Span, **style: Any) -> None:
+    """Draw a value in deg over a span; a wrap by 360 deg breaks the line."""
     inside = slice(*np.searchsorted(t_s, span))
     draw_line(ax, t_s[inside], value[inside], largest_jump=WRAP_DEG, **style)
 

@@ -246,6 +246,7 @@ def compute_rms_drift_deg(trials: Sequence[Trial]) -> Floats:
 
 
 def _measure_tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
+    """Return the inclination error in deg of a reference at its first common sample with the truth."""
     c = compare(reference, truth, "none")
     return float(np.rad2deg(compute_attitude_error(c.q_est[:1], c.q_true[:1]).inclination_rad[0]))
 
