@@ -20,7 +20,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadParameter, Unobservable
-from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.frames import compose, heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.blocks import split_rows, sum_blocks
 from stillpoint.scoring.clock import find_clock_offset_ns
@@ -66,7 +66,8 @@ class Alignment:
 
     def attitude(self, q_est: Floats) -> Floats:
         """Return the estimate (N, 4) without heading and mounting, as the truth shows it: ``Rz(-h) * q_est * M^-1``."""
-        return quaternion(heading_rotation(-self.heading_rad) * rotation(q_est) * self.mounting.inv())
+        turned = compose(heading_rotation(-self.heading_rad), rotation(q_est))
+        return quaternion(compose(turned, self.mounting.inv()))
 
     def covariance(self, cov_b_rad2: Floats) -> Floats:
         """Return covariances (N, 3, 3) of the estimate, turned into the truth's body axes."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from stillpoint.datasets.errors import Unobservable
-from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.frames import compose, rotation
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.scoring.match import Mask, Track, interpolate_attitude, is_sparser, match
 
@@ -82,7 +82,7 @@ def _find_pairs(t_ns: Times, step_ns: float, width_s: float) -> tuple[NDArray[np
 
 def _compute_rotation_vectors(q_first: Floats, q_second: Floats) -> Floats:
     """Return rotation vectors (N, 3) from one attitude to the other, in the body."""
-    return np.asarray((rotation(q_first).inv() * rotation(q_second)).as_rotvec(), dtype=np.float64)
+    return np.asarray(compose(rotation(q_first).inv(), rotation(q_second)).as_rotvec(), dtype=np.float64)
 
 
 def _differentiate(t_ns: Times, turn: Floats) -> Floats:

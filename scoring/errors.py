@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.frames import EulerFrame, euler, quaternion, rotation, wrap
+from stillpoint.datasets.frames import EulerFrame, compose, euler, quaternion, rotation, wrap
 from stillpoint.datasets.recording import Floats
 
 _GIMBAL_RAD = np.deg2rad(80.0)  # beyond this pitch, roll and yaw errors are large for any small rotation
@@ -28,7 +28,7 @@ class AttitudeError:
 
 def _compute_error_quaternion(q_est: Floats, q_true: Floats) -> Floats:
     """Return the earth-frame error e in ``q_est = e * q_true``, (N, 4) with w >= 0."""
-    return quaternion(rotation(q_est) * rotation(q_true).inv())
+    return quaternion(compose(rotation(q_est), rotation(q_true).inv()))
 
 
 def compute_attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
@@ -62,12 +62,12 @@ def find_near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
 
 def compute_rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:
     """Return d (N, 3) in body axes of ``q_true = q_est * exp(d)``, the error whose covariance is ``cov_b_rad2``."""
-    return np.asarray((rotation(q_est).inv() * rotation(q_true)).as_rotvec(), dtype=np.float64)
+    return np.asarray(compose(rotation(q_est).inv(), rotation(q_true)).as_rotvec(), dtype=np.float64)
 
 
 def compute_rotation_error_n(q_est: Floats, q_true: Floats) -> Floats:
     """Return the rotation vector e (N, 3) about east, north, up of ``q_est = exp(e) * q_true``."""
-    return np.asarray((rotation(q_est) * rotation(q_true).inv()).as_rotvec(), dtype=np.float64)
+    return np.asarray(compose(rotation(q_est), rotation(q_true).inv()).as_rotvec(), dtype=np.float64)
 
 
 def compute_normalised_square(d_rad: Floats, cov_rad2: Floats) -> Floats:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from stillpoint.datasets.errors import BadParameter, BadRecording
-from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame, heading_rotation, quaternion, rotation
+from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame, compose, heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference, compute_total_sd_rad
 from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
@@ -273,7 +273,7 @@ class _Sampled:
     def find_conversion(self, alignment: Alignment) -> str | None:
         """Return the conversion that explains the error, in words."""
         aligned, q_true = (np.concatenate(column) for column in zip(*self._pairs, strict=True))
-        raw = heading_rotation(alignment.heading_rad) * rotation(aligned) * alignment.mounting
+        raw = compose(compose(heading_rotation(alignment.heading_rad), rotation(aligned)), alignment.mounting)
 
         def compute_rmse_deg(q_est: Floats, q_true: Floats) -> float:
             """Return the total RMSE in deg after the alignment is found anew."""

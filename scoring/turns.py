@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter, Unobservable
-from stillpoint.datasets.frames import quaternion, rotation
+from stillpoint.datasets.frames import compose, quaternion, rotation
 from stillpoint.scoring.compare import Comparison
 from stillpoint.scoring.errors import compute_attitude_error
 
@@ -52,7 +52,7 @@ def _compute_turn_error(comparison: Comparison, seconds: float) -> TurnError:
     if not len(start):
         raise Unobservable(f"{whose}: no two scored samples are {seconds:g} s apart; give another time")
     turned = [
-        rotation(q[comparison.moving][start]).inv() * rotation(q[comparison.moving][end[start]])
+        compose(rotation(q[comparison.moving][start]).inv(), rotation(q[comparison.moving][end[start]]))
         for q in (comparison.q_est, comparison.q_true)
     ]
     error_deg = np.rad2deg(compute_attitude_error(quaternion(turned[0]), quaternion(turned[1])).total_rad)

@@ -9,7 +9,7 @@ from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
 from stillpoint.datasets.doctor.remedy import find_repeats
 from stillpoint.datasets.doctor.turning import find_large_sizes, make_gyro_series, make_vector_series, solve
 from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, choose, find_index
-from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.frames import compose, rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
 
 _RATE_WINDOW_S = 0.04
@@ -74,7 +74,7 @@ def compute_truth_rates(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, F
     if len(first) == 0:
         return np.zeros(0), np.zeros(0), np.zeros((0, 3))
     attitude = rotation(truth.q_nb)
-    turn = (attitude[first].inv() * attitude[first + pair]).as_rotvec()
+    turn = compose(attitude[first].inv(), attitude[first + pair]).as_rotvec()
     return t_s[first], t_s[first + pair], turn / (t_s[first + pair] - t_s[first])[:, None]
 
 

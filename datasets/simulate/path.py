@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.frames import compose, rotation
 from stillpoint.datasets.recording import Floats
 
 
@@ -74,7 +74,7 @@ class Path:
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
         """Return the rotation from body to n at times (N,)."""
-        return rotation(self.base_q_nb) * Rotation.from_rotvec(self.turn_b_rad(self._clip_time(t_s)))
+        return compose(rotation(self.base_q_nb), Rotation.from_rotvec(self.turn_b_rad(self._clip_time(t_s))))
 
     def rate_b_radps(self, t_s: ArrayLike) -> Floats:
         """Return the angular rate of the body in n, in body axes, (N, 3): the right Jacobian of exp times the turn's
@@ -108,7 +108,7 @@ class Path:
         Over their time these are the samples of a perfect integrating gyro, coning included.
         """
         attitude = self.attitude(t_s)
-        return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec())
+        return np.asarray(compose(attitude[:-1].inv(), attitude[1:]).as_rotvec())
 
     def position(self, t_s: ArrayLike) -> Floats:
         """Return the position in n, (N, 3) in m."""

@@ -38,6 +38,15 @@ def test_q_nb_takes_body_vectors_to_east_north_up() -> None:
     assert vector_n == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    "shapes", [((50, 4), (50, 4)), ((4,), (50, 4)), ((50, 4), (4,)), ((4,), (4,)), ((0, 4), (0, 4))]
+)
+def test_composed_rotations_are_the_product_of_scipy_to_the_bit(shapes: tuple[tuple[int, ...], ...]) -> None:
+    rng = np.random.default_rng(0)
+    second, first = (frames.rotation(rng.normal(size=shape)) for shape in shapes)
+    np.testing.assert_array_equal(frames.compose(second, first).as_quat(), (second * first).as_quat(), strict=True)
+
+
 @pytest.mark.filterwarnings("ignore:Gimbal lock")
 @given(quaternions, st.sampled_from(frames.EULER_FRAMES))
 def test_euler_angles_are_inverse_to_from_euler(q_nb: np.ndarray, frame: frames.EulerFrame) -> None:
