@@ -25,7 +25,9 @@ from numba import types
 from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
 
-KERNELS = Path(__file__).with_name("kernels")
+# Where the kernels are; another folder, as an empty one, can be named in the environment.
+KERNELS_FROM = "STILLPOINT_KERNELS"
+KERNELS = Path(os.environ.get(KERNELS_FROM) or Path(__file__).with_name("kernels"))
 # The environment of the process that makes the kernels: where to put them.
 TARGET = "STILLPOINT_KERNELS_TO"
 # And of a process in which a user waits: say on stderr that something compiles.

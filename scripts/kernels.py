@@ -10,12 +10,14 @@ import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from pathlib import Path
 
 import numba
 
 from stillpoint.datasets.machine_code import KERNELS, TARGET, hash_sources
 from stillpoint.scripts.shared.program import run_program
 
+_SOURCES = Path(__file__).parents[1]
 _REFERENCE = "reference"
 _PROCESSES_AT_MOST = 4  # they share most functions, and wait for each other's
 
@@ -52,7 +54,7 @@ def main() -> int:
 
 def _hash_inputs() -> str:
     """Return a digest of what the kernels are compiled from, and with."""
-    folders = [hash_sources(KERNELS.parents[1] / name) for name in ("datasets", "filters", "scoring", "smoother")]
+    folders = [hash_sources(_SOURCES / name) for name in ("datasets", "filters", "scoring", "smoother")]
     return hashlib.sha256("\n".join([*folders, numba.__version__, sys.version]).encode()).hexdigest()
 
 

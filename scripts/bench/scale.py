@@ -13,6 +13,7 @@ from numba.core import event
 
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.machine_code import KERNELS_FROM
 from stillpoint.datasets.mcap.store import read_recording, read_reference
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
@@ -58,7 +59,8 @@ def bench_scale(_runs: int) -> list[Timing]:
             pool = _time_empty(Workers(count), f"{count} local", None)
             with _start_cluster(count) as address:
                 rows += [pool, _time_empty(Workers(scheduler=address), f"{count} on Dask", pool)]
-        with _set_environment("NUMBA_CACHE_DIR", str(Path(folder) / "empty")):
+        empty = str(Path(folder) / "empty")
+        with _set_environment("NUMBA_CACHE_DIR", empty), _set_environment(KERNELS_FROM, empty):
             rows.append(_time_batch(files, Workers(1), "1 local, nothing compiled", rows[0]))
     return rows
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from stillpoint.datasets.machine_code import KERNELS, KERNELS_FROM
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
 from stillpoint.scripts.bench.timing import Timing, time_call
@@ -63,26 +64,30 @@ def bench_start(runs: int) -> list[Timing]:
     ours = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
     for name in track(ours, "start", console=Console(stderr=True), transient=True):
         with tempfile.TemporaryDirectory() as cache:
-            seconds = [float(json.loads(_time_command(_FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
+            empty = {"NUMBA_CACHE_DIR": cache, KERNELS_FROM: cache}
+            seconds = [float(json.loads(_time_command(_FIRST, name, **empty))) for _ in range(2)]
         rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], None))
         rows.append(Timing(f"the next process with {name}", seconds[1:], None))
     return [*rows, *_time_verbs()]
 
 
 def _time_verbs() -> Iterator[Timing]:
-    """Yield, for each verb, the CPU seconds of a run with an empty cache of compiled code, and of the next run.
+    """Yield the CPU seconds of each verb: with nothing compiled, in the next process, and with kernels where they are.
 
     On an idle machine they are the time to the first result; other work of the machine does not count.
     """
+    has_kernels = any(KERNELS.glob("*.kernel"))
     with tempfile.TemporaryDirectory() as folder:
         for verb in VERBS:
-            seconds = []
-            with tempfile.TemporaryDirectory() as cache:
-                for _ in range(2):
-                    seconds.append(_time_verb(verb, Path(folder), {"NUMBA_CACHE_DIR": cache}))
             name = f"stillpoint {verb.partition(' --time')[0]}"
-            yield Timing(f"{name}, nothing compiled, CPU", seconds[:1], None)
-            yield Timing(f"{name}, the next process, CPU", seconds[1:], None)
+            with tempfile.TemporaryDirectory() as cache:
+                empty = {"NUMBA_CACHE_DIR": cache, KERNELS_FROM: cache}
+                for when in ("nothing compiled", "the next process"):
+                    yield Timing(f"{name}, {when}, CPU", [_time_verb(verb, Path(folder), empty)], None)
+            if has_kernels:
+                with tempfile.TemporaryDirectory() as cache:
+                    seconds = _time_verb(verb, Path(folder), {"NUMBA_CACHE_DIR": cache})
+                yield Timing(f"{name}, with kernels, CPU", [seconds], None)
 
 
 def _time_verb(verb: str, folder: Path, environment: dict[str, str]) -> float:

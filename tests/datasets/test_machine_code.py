@@ -11,14 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from stillpoint.datasets.machine_code import ANNOUNCE, TARGET
+from stillpoint.datasets.machine_code import ANNOUNCE, KERNELS_FROM, TARGET
 
 CALL = """
 import sys
-from pathlib import Path
-from stillpoint.datasets import machine_code
-machine_code.KERNELS = Path(sys.argv[1])
-if sys.argv[2] == "other sources":
+if sys.argv[1] == "other sources":
+    from stillpoint.datasets import machine_code
     machine_code.hash_sources = lambda folder: "other"
 from stillpoint.filters.spin import front
 state = front.start()
@@ -28,10 +26,8 @@ print(state.t_ns, sum(front.start.stats.cache_hits.values()))
 
 def call(kernels: Path, cache: Path, how: str = "", **environment: str) -> tuple[str, str]:
     """Start a process with this cache that calls a compiled function; return its output and what it said."""
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache), ANNOUNCE: "1", **environment}
-    done = subprocess.run(
-        [sys.executable, "-c", CALL, str(kernels), how], env=env, capture_output=True, text=True, check=True
-    )
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache), KERNELS_FROM: str(kernels), ANNOUNCE: "1", **environment}
+    done = subprocess.run([sys.executable, "-c", CALL, how], env=env, capture_output=True, text=True, check=True)
     return done.stdout.strip(), done.stderr
 
 
@@ -50,8 +46,6 @@ def test_a_kernel_is_loaded_into_an_empty_cache_and_not_for_other_sources(tmp_pa
 COMPILE = """
 import sys, time
 from pathlib import Path
-from stillpoint.datasets import machine_code
-machine_code.KERNELS = Path(sys.argv[1]) / "none"
 from stillpoint.filters.spin import front
 Path(sys.argv[1], sys.argv[2]).touch()
 while len(list(Path(sys.argv[1]).glob("ready-*"))) < 2:
@@ -64,7 +58,7 @@ print(sum(front.start.stats.cache_misses.values()), sum(front.start.stats.cache_
 @pytest.mark.slow
 def test_of_two_processes_that_want_a_function_one_compiles_and_the_other_loads(tmp_path: Path) -> None:
     """Both begin when both have started: compiling takes much longer than to look for machine code and lock it."""
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), KERNELS_FROM: str(tmp_path / "none")}
     command = [sys.executable, "-c", COMPILE, str(tmp_path)]
     both = [subprocess.Popen([*command, f"ready-{k}"], env=env, stdout=subprocess.PIPE, text=True) for k in range(2)]
     counts = [tuple(map(int, process.communicate()[0].split())) for process in both]

@@ -32,6 +32,7 @@ class Processes:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(kernels, "KERNELS", tmp_path / "datasets" / "kernels")
+    monkeypatch.setattr(kernels, "_SOURCES", tmp_path)
     for name in ("datasets", "filters", "scoring", "smoother"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.py").write_text("x = 1\n")

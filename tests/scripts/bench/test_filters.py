@@ -62,7 +62,8 @@ print(1.0 + sum(front.start.stats.cache_hits.values()))
 
 
 @pytest.mark.slow
-def test_the_start_is_measured_in_processes_of_its_own(monkeypatch):
+def test_the_start_is_measured_in_processes_of_its_own(monkeypatch, tmp_path):
+    monkeypatch.setattr(bench_start, "KERNELS", tmp_path)  # there may be some
     monkeypatch.setattr(bench_start, "ESTIMATORS", {"gyro": ESTIMATORS["gyro"], "vqf": ESTIMATORS["vqf"]})
     monkeypatch.setattr(bench_start, "_FIRST", FIRST)
     made = "simulate phone-1 --minutes 0.6 -o ."
