@@ -77,7 +77,7 @@ class UnitCheck:
                 f"{name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
                 "multiply by pi/180, or keep it with --units-unchecked for the doctor"
             )
-        size = self._seconds.still_norm()
+        size = self._seconds.find_still_norm()
         if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
             _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
             hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
@@ -147,7 +147,7 @@ class _Seconds:
             self._add_seconds(t_ns[:over], vectors[:over], rates[:over])
         self._rest = t_ns[over:].copy(), vectors[over:].copy(), rates[over:].copy()
 
-    def still_norm(self) -> float | None:
+    def find_still_norm(self) -> float | None:
         """Return the mean length over the calmest second without spin; None when there is none, or no whole second."""
         if self._rest is None or self.duration_ns < WINDOW_S * 1e9:
             return None

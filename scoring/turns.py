@@ -37,7 +37,7 @@ def turn_errors(comparison: Comparison, over_s: Sequence[float]) -> tuple[TurnEr
 def _compute_turn_error(comparison: Comparison, seconds: float) -> TurnError:
     """Return the error of turns over this time; raises :class:`Unobservable` where no two samples are so far apart."""
     if not (np.isfinite(seconds) and seconds > 0):
-        raise BadParameter(f"over: {seconds:g} is no time that a turn can take; give seconds above 0")
+        raise BadParameter(f"over: {seconds:g} s is not a length of time; give seconds above 0")
     whose = f"{comparison.estimated} of {comparison.recording}"
     t_ns = comparison.t_ns[comparison.moving]
     if 1e9 * seconds > t_ns[-1] - t_ns[0]:

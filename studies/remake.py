@@ -76,11 +76,11 @@ def _make_job(archive: Archive, entry: Entry) -> RemakeJob | str:
     ):
         return f"it was made from {', '.join(parent.file_name for parent in others)} too, which is no calibration"
     return RemakeJob(
-        kept=archive.path_of(entry),
+        kept=archive.find_path(entry),
         file_name=entry.file_name,
         sha256=entry.sha256,
-        recording=archive.path_of(recordings[0]),
-        calibration=archive.path_of(others[0]) if others else None,
+        recording=archive.find_path(recordings[0]),
+        calibration=archive.find_path(others[0]) if others else None,
         version=str(entry.columns.get("version") or "?"),
     )
 

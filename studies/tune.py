@@ -71,7 +71,7 @@ class ParamRange:
             raise BadParameter(f"--param {text}: LOW must be below HIGH, and above 0 with :log")
         return cls(name.strip(), low, high, scale == "log")
 
-    def grid(self, steps: int) -> list[float]:
+    def make_grid(self, steps: int) -> list[float]:
         """Return ``steps`` values over the range."""
         spaced = np.geomspace if self.log else np.linspace
         return [float(value) for value in spaced(self.low, self.high, steps)]
@@ -380,7 +380,7 @@ def _open_study(spec: _TuneSpec) -> Any:
         "tpe": lambda: optuna.samplers.TPESampler(seed=spec.seed),
         "random": lambda: optuna.samplers.RandomSampler(seed=spec.seed),
         "grid": lambda: optuna.samplers.GridSampler(
-            {each.name: each.grid(spec.steps) for each in spec.ranges}, seed=spec.seed
+            {each.name: each.make_grid(spec.steps) for each in spec.ranges}, seed=spec.seed
         ),
     }
     journal = os.fspath(spec.journal)

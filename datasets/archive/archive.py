@@ -209,7 +209,7 @@ class Archive:
             raise BadParameter(f"{text}: names {len(found)} objects ({several}); give the ID of one")
         raise BadParameter(f"{text}: the archive {self.storage.name} has no such object; see stillpoint archive list")
 
-    def path_of(self, entry: Entry) -> Path:
+    def find_path(self, entry: Entry) -> Path:
         """Return a path that :func:`stillpoint.datasets.read` takes: the link with the human name if there is one."""
         if entry.link and isinstance(self.storage, FolderStorage):
             return self.home / "names" / entry.link
@@ -291,7 +291,7 @@ class Archive:
         self._replace_records([replace(record, removed=now(), reason=reason.strip()) for record in marked])
         return [entry for record in marked if (entry := self.entry(record.sha256)) is not None]
 
-    def removable(self, older_than: timedelta) -> list[Entry]:
+    def list_removable(self, older_than: timedelta) -> list[Entry]:
         """Return objects whose mark of removal is at least this old and whose bytes are still there."""
         limit = (datetime.now(UTC) - older_than).isoformat(timespec="microseconds").replace("+00:00", "Z")
         return self.catalogue.entries("o.removed != '' AND o.removed <= ? AND o.freed = ''", (limit,))
@@ -423,7 +423,7 @@ def create_archive(place: str | Path) -> Archive:
         raise BadParameter(f"{storage.name}: is already an archive; use it, or name another folder")
     taken = isinstance(storage, FolderStorage) and storage.root.exists()
     if taken and not _is_free(home):
-        raise BadParameter(f"{storage.name}: is no empty folder; name a new one for the archive")
+        raise BadParameter(f"{storage.name}: is not an empty folder; name a new one for the archive")
     try:
         home.mkdir(parents=True, exist_ok=True)
         (home / "incoming").mkdir(exist_ok=True)
@@ -448,7 +448,7 @@ def open_archive(place: str | Path) -> Archive:
     """Open an archive; what killed processes left is completed or deleted first. Raises :class:`BadParameter`."""
     storage = open_storage(place)
     if not storage.has(MARK):
-        raise BadParameter(f"{storage.name}: is no archive; make one: stillpoint archive init {storage.name}")
+        raise BadParameter(f"{storage.name}: is not an archive; make one: stillpoint archive init {storage.name}")
     home = _find_home(storage)
     home.mkdir(parents=True, exist_ok=True)
     is_new = not (home / FILE).exists()
@@ -467,7 +467,7 @@ def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
     """
     with open_archive(place) as archive:
         words = [line.split()[0] for line in lines if line.strip()]
-        return [archive.path_of(archive.resolve(word)) for word in words]
+        return [archive.find_path(archive.resolve(word)) for word in words]
 
 
 def _find_home(storage: Storage) -> Path:

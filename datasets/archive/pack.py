@@ -179,7 +179,7 @@ def open_bundle(place: Path, largest: int = LARGEST_BUNDLE) -> Iterator[Bundle]:
                 members = {member.name: member for member in tar if member.isreg() and is_inside(member.name)}
                 yield Bundle(place, lambda path: _open_in_tar(place, tar, members, path), largest)
         else:
-            raise BadParameter(f"{place}: is no bundle; name a folder, a .zip or a .tar that archive export wrote")
+            raise BadParameter(f"{place}: is not a bundle; name a folder, a .zip or a .tar that archive export wrote")
     except (zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
         raise BadFile(f"{place}: is damaged ({error}); copy it again") from error
     except OSError as error:

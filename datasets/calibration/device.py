@@ -126,7 +126,7 @@ def read_device(path: Path) -> DeviceFile:
     except OSError as error:
         raise BadParameter(f"{path}: cannot be opened ({error.strerror}); check the name") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise BadFile(f"{path}: is no calibration of a device ({error}); make it by stillpoint calibrate") from error
+        raise BadFile(f"{path}: is not a calibration of a device ({error}); make it by stillpoint calibrate") from error
 
 
 def _read_text(path: Path) -> str:

@@ -117,7 +117,7 @@ class TruthView:
         }[self.frame]
         return " and ".join(part for part in (self.reading.words, frame) if part)
 
-    def world_remedy(self) -> Remedy | None:
+    def make_world_remedy(self) -> Remedy | None:
         """Return the rotation of the world that makes it East-North-Up as far as gravity shows; None when it is."""
         if self.frame is None:
             return None
@@ -135,7 +135,7 @@ class TruthView:
 
     def remedies(self) -> tuple[Remedy, ...]:
         """Return the remedies of the truth in the order in which they apply."""
-        world = self.world_remedy()
+        world = self.make_world_remedy()
         return (*self.reading.remedies, *([] if world is None else [world]))
 
     def correct(self, truth: Truth) -> Truth:
@@ -153,7 +153,7 @@ class TruthView:
                 f"truth: {self.reading.words}: only then does it turn as the gyro does; {remedy.text.split(': ', 1)[1]}"
             )
             found.append(Finding("truth-quaternion", "error", message, remedy))
-        world = self.world_remedy()
+        world = self.make_world_remedy()
         if world is not None:
             up = ", ".join(f"{value:+.2f}" for value in self.up_n)
             message = (
@@ -203,7 +203,7 @@ class TruthFits:
         """Return start (n,), end (n,) in s and rate (n, 3) of the truth's steps that the gyro covers without a gap."""
         start, end, rate = compute_truth_rates(truth, self.origin_ns)
         inside = (start - REACH_S > self.gyro.t_s[0]) & (end + REACH_S < self.gyro.t_s[-1])
-        inside &= ~self.gyro.touches_gap(start - REACH_S, end + REACH_S)
+        inside &= ~self.gyro.find_spans_in_gaps(start - REACH_S, end + REACH_S)
         return start[inside], end[inside], rate[inside]
 
     def _find_lag(self, truth: Truth) -> float:
@@ -292,7 +292,7 @@ class TruthFits:
         half = _FORCE_STEP_S / 2
         at_s = t_s[kept] + self.lag_s
         whole = (at_s - half > self.force.t_s[0]) & (at_s + half < self.force.t_s[-1])
-        whole &= ~self.force.touches_gap(at_s - half, at_s + half)
+        whole &= ~self.force.find_spans_in_gaps(at_s - half, at_s + half)
         kept, at_s = kept[whole], at_s[whole]
         felt = self.force.smooth_between(at_s - half, at_s + half) / _FORCE_STEP_S
         size = np.linalg.norm(felt, axis=1)

@@ -35,7 +35,7 @@ class Dips:
     group: NDArray[np.intp]  # (n,)
     expected_rad: float | None  # of the World Magnetic Model at the place of the recording; None where unknown
 
-    def sines(self, accel: Floats, mag: Floats) -> Floats:
+    def compute_sines(self, accel: Floats, mag: Floats) -> Floats:
         """Return the sine of the field's elevation in each group when the sensors measure in these wrong axes."""
         up = ((self.force @ accel) * (self.field @ mag)).sum(axis=1)
         return np.array([np.median(up[rows]) for rows in self._groups])
@@ -45,13 +45,13 @@ class Dips:
         """Return one mask (N,) per group of readings."""
         return [self.group == each for each in np.unique(self.group)]
 
-    def dips_deg(self) -> Floats:
+    def compute_dips_deg(self) -> Floats:
         """Return the dip below the horizon in each group, as measured."""
-        return np.asarray(-np.rad2deg(np.arcsin(np.clip(self.sines(np.eye(3), np.eye(3)), -1, 1))))
+        return np.asarray(-np.rad2deg(np.arcsin(np.clip(self.compute_sines(np.eye(3), np.eye(3)), -1, 1))))
 
-    def penalty(self, accel: Floats, mag: Floats) -> float:
+    def compute_penalty(self, accel: Floats, mag: Floats) -> float:
         """Return the nats against these wrong axes by the sign of the dip, judged in each rest."""
-        sines = self.sines(accel, mag)
+        sines = self.compute_sines(accel, mag)
         up, down = bool((sines > _DIP_SIDE).any()), bool((sines < -_DIP_SIDE).any())
         if up and down:
             return _UNEVEN
@@ -131,7 +131,7 @@ def _report_dip(dips: Dips | None) -> list[Finding]:
     """Return the dip of the field, and a warning where it differs between rests."""
     if dips is None:
         return []
-    each = dips.dips_deg()
+    each = dips.compute_dips_deg()
     dip_deg, spread_deg = float(np.median(each)), float(np.ptp(each))
     values = {"dip_deg": dip_deg, "spread_deg": spread_deg}
     if spread_deg > _EVEN_DIP_DEG:

@@ -174,7 +174,7 @@ def _compute_imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
 
 def _sign_penalty(fault: Fault, dips: Dips | None, accel_up: float | None) -> float:
     """Return the nats against the signs of gravity and field: by the dip of the field and by a known base pose."""
-    penalty = 0.0 if dips is None else dips.penalty(fault.accel, fault.mag)
+    penalty = 0.0 if dips is None else dips.compute_penalty(fault.accel, fault.mag)
     if accel_up is not None and np.array_equal(np.abs(fault.accel), _IDENTITY):
         sign = -1.0 if np.array_equal(fault.accel, -_IDENTITY) else 1.0
         penalty += 20.0 if sign * accel_up < -0.85 else 0.0  # more than 150 deg off: no pose is stated so badly

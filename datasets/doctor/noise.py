@@ -42,7 +42,7 @@ def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witne
 def measure_white_noise(values: Floats, still: np.ndarray) -> Floats:
     """Return the standard deviation of white noise per column, from differences between neighbouring still samples.
 
-    Third differences, so that slow turning does not count; robust against single jolts.
+    It is computed from third differences, so that slow turning does not count, and is robust against single jolts.
     """
     run = still[3:] & still[2:-1] & still[1:-2] & still[:-3]
     third = values[3:] - 3 * values[2:-1] + 3 * values[1:-2] - values[:-3]

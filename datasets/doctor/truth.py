@@ -27,7 +27,7 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
     gyro = make_gyro_series(imu, origin)
     start, end, rate = compute_truth_rates(truth, origin)
     inside = (start - REACH_S > gyro.t_s[0]) & (end + REACH_S < gyro.t_s[-1])
-    inside &= ~gyro.touches_gap(start - REACH_S, end + REACH_S)
+    inside &= ~gyro.find_spans_in_gaps(start - REACH_S, end + REACH_S)
     start, end, rate = start[inside], end[inside], rate[inside]
     if len(start) < FEWEST:
         return Witness("truth", None)
@@ -79,7 +79,7 @@ def compute_truth_rates(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, F
 
 
 def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
-    """Return how late the accelerometer is against the positions of the truth, in the same body; None without any."""
+    """Return how late the accelerometer is against the truth's positions, in the same body; None without them."""
     if truth.position_n_m is None:
         return None
     origin = int(imu.t_ns[0])
@@ -87,7 +87,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     at_s, expected, swing = _compute_truth_forces(truth, origin)
     half = _FORCE_WINDOW_S / 2
     inside = (at_s - half - REACH_S > force.t_s[0]) & (at_s + half + REACH_S < force.t_s[-1])
-    inside &= ~force.touches_gap(at_s - half - REACH_S, at_s + half + REACH_S)
+    inside &= ~force.find_spans_in_gaps(at_s - half - REACH_S, at_s + half + REACH_S)
     at_s, expected, swing = at_s[inside], expected[inside], swing[inside]
     if len(at_s) < FEWEST:
         return None
@@ -194,7 +194,7 @@ def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
     gyro = make_gyro_series(imu, origin)
     start, end, rate = compute_truth_rates(truth, origin)
     inside = (start + lag_s > gyro.t_s[0]) & (end + lag_s < gyro.t_s[-1])
-    inside &= ~gyro.touches_gap(start + lag_s, end + lag_s)
+    inside &= ~gyro.find_spans_in_gaps(start + lag_s, end + lag_s)
     start, end, rate = start[inside], end[inside], rate[inside]
     if len(start) < FEWEST:
         return []

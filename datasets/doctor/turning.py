@@ -40,7 +40,7 @@ class Series:
     step_s: float
     gaps_s: Floats  # (G, 2) start and end of each gap
 
-    def between(self, start_s: Floats, end_s: Floats) -> Floats:
+    def integrate(self, start_s: Floats, end_s: Floats) -> Floats:
         """Return the integral from each start to each end, (n, 3)."""
         return self._interpolate_integral(end_s) - self._interpolate_integral(start_s)
 
@@ -51,14 +51,14 @@ class Series:
         between streams of one rate would settle there, half a step beside the true one.
         """
         quarter = self.step_s / 4
-        early = self.between(start_s - quarter, end_s - quarter)
-        return 0.5 * (early + self.between(start_s + quarter, end_s + quarter))
+        early = self.integrate(start_s - quarter, end_s - quarter)
+        return 0.5 * (early + self.integrate(start_s + quarter, end_s + quarter))
 
     def _interpolate_integral(self, t_s: Floats) -> Floats:
         """Return the integral (n, 3) from the beginning to times (n,)."""
         return np.stack([np.interp(t_s, self.t_s, column) for column in self.integral.T], axis=1)
 
-    def touches_gap(self, start_s: Floats, end_s: Floats) -> NDArray[np.bool_]:
+    def find_spans_in_gaps(self, start_s: Floats, end_s: Floats) -> NDArray[np.bool_]:
         """Return which spans overlap a gap."""
         inside = np.searchsorted(self.gaps_s[:, 1], start_s, side="right")
         return inside < np.searchsorted(self.gaps_s[:, 0], end_s, side="left")
@@ -119,12 +119,12 @@ class Grid:
         margin = reach_s + self.width_s
         begin, end = max(gyro.t_s[0], vector.t_s[0]) + margin, min(gyro.t_s[-1], vector.t_s[-1]) - margin
         self.t_s = np.arange(begin, end, self.step_s)
-        self.turn = gyro.between(self.t_s[:-1], self.t_s[1:])
+        self.turn = gyro.integrate(self.t_s[:-1], self.t_s[1:])
         length = max(2, round(_WINDOW_S / self.step_s))
         self.length_s = length * self.step_s
         first = np.arange(0, len(self.t_s) - length, max(1, length // 3))
         start, stop = self.t_s[first], self.t_s[first + length] if len(first) else self.t_s[:0]
-        whole = ~gyro.touches_gap(start, stop) & ~vector.touches_gap(start - margin, stop + margin)
+        whole = ~gyro.find_spans_in_gaps(start, stop) & ~vector.find_spans_in_gaps(start - margin, stop + margin)
         self.first = first[whole]
         self.last = self.first + length
         self._turns = _sum_cumulatively(self.turn)
@@ -140,7 +140,7 @@ class Grid:
     def __len__(self) -> int:
         return len(self.first)
 
-    def at_lag(self, lag_s: float) -> Windows:
+    def make_windows(self, lag_s: float) -> Windows:
         """Return the windows for a vector whose stamps are late by ``lag_s``."""
         half = self.width_s / 2
         at = self.vector.smooth_between(self.t_s - half + lag_s, self.t_s + half + lag_s) / self.width_s
@@ -224,8 +224,8 @@ class Swings:
         if length < 3 * MODES:  # too slow a sensor for what happens in two seconds
             starts = starts[:0]
         if len(starts):
-            starts = starts[~gyro.touches_gap(t[starts] - margin, t[starts + length] + margin)]
-        turn = gyro.between(t[:-1], t[1:]) - bias_b_radps * self.step_s
+            starts = starts[~gyro.find_spans_in_gaps(t[starts] - margin, t[starts + length] + margin)]
+        turn = gyro.integrate(t[:-1], t[1:]) - bias_b_radps * self.step_s
         rows = starts[:, None] + np.arange(length)
         turned = np.linalg.norm(turn[rows], axis=2).sum(axis=1)
         most = np.sort(np.argsort(-turned, kind="stable")[:_MOST_SWINGS])
@@ -237,7 +237,7 @@ class Swings:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def at_lag(self, lag_s: float) -> Seen:
+    def make_windows(self, lag_s: float) -> Seen:
         """Return the windows for an accelerometer whose stamps are late by ``lag_s``."""
         middle, half = self.middle_s + lag_s, self.step_s / 2
         felt = self.force.smooth_between(middle - half, middle + half) / self.step_s

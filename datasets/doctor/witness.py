@@ -152,7 +152,7 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     if len(grid) < FEWEST_WINDOWS:
         return Witness("mag", None)
     rough = find_lag(_make_robust_loss(grid, lambda at: at.design(np.zeros(3))))
-    at = grid.at_lag(rough.lag_s if rough and rough.clear else 0.0)
+    at = grid.make_windows(rough.lag_s if rough and rough.clear else 0.0)
     centre = _find_sphere_centre(mag.mag_b_ut)
     weight = solve_robustly(at.design(centre), at.change, np.ones(len(grid)))[2]
     fits = [_fit(at, matrix, centre, weight) for matrix in CANDIDATES]
@@ -168,7 +168,7 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
 
     matrix = choice.matrix
     lag = find_lag(_make_robust_loss(grid, lambda at: _make_columns(at, matrix, centre)))
-    at = grid.at_lag(lag.lag_s if lag and lag.clear else 0.0)
+    at = grid.make_windows(lag.lag_s if lag and lag.clear else 0.0)
     found, _, _ = solve_robustly(_make_columns(at, matrix, centre), at.change, np.ones(len(grid)), rounds=2)
     bias = -matrix.T @ found[1:4] / found[0]
     return Witness("mag", choice, float(found[0]), lag, bias, centre + found[4:7] / found[0])
@@ -181,7 +181,7 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     swings = Swings(make_gyro_series(imu, origin), force, bias_b_radps, REACH_S)
     if len(swings) < _FEWEST_SWINGS:
         return Witness("accel", None)
-    seen = swings.at_lag(0.0)
+    seen = swings.make_windows(0.0)
     floor = _HAND_TREMOR_M**2
 
     def compute_loss(matrices: Floats) -> Floats:
@@ -210,10 +210,10 @@ def find_lag_by_gravity(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag |
     origin = int(imu.t_ns[0])
     force = make_vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(make_gyro_series(imu, origin), force, bias_b_radps, REACH_S)
-    unshifted = swings.at_lag(0.0)
+    unshifted = swings.make_windows(0.0)
     attitudes = integrate_attitudes(unshifted, matrix)  # of the gyro alone, for every lag
     usual = float(np.median(compute_pivot_displacement(unshifted, attitudes))) + 1e-300
-    return find_lag(lambda lag_s: np.log1p(compute_pivot_displacement(swings.at_lag(lag_s), attitudes) / usual))
+    return find_lag(lambda lag_s: np.log1p(compute_pivot_displacement(swings.make_windows(lag_s), attitudes) / usual))
 
 
 def _find_sphere_centre(vectors: Floats) -> Floats:
@@ -235,7 +235,7 @@ def _make_robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Calla
 
     def compute_loss(lag_s: float) -> Floats:
         """Return the robust loss (n,) of the best fit at this lag; the first call sets the scale of its residuals."""
-        at = grid.at_lag(lag_s)
+        at = grid.make_windows(lag_s)
         _, residual, _ = solve_robustly(columns(at), at.change, np.ones(len(grid)), rounds=2)
         if not size:
             size.append(3 * float(np.median(residual)) + 1e-300)  # wide, so that no valley beside the true one stays

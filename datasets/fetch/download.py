@@ -64,7 +64,7 @@ def fetch_trials(
     pooch.get_logger().setLevel(logging.WARNING)
     base = (address or source.address).rstrip("/") + "/"
     if not base.startswith(("http://", "https://")):
-        raise BadParameter(f"{base}: is no address of a server; begin it with http:// or https://")
+        raise BadParameter(f"{base}: is not an address of a server; begin it with http:// or https://")
     paths = list(dict.fromkeys((*source.shared, *(path for trial in trials for path in source.files(trial)))))
     pinned = read_pinned_sums(source)
     known = _read_sums(folder / _SUMS) | pinned

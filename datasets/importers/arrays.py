@@ -14,7 +14,7 @@ from stillpoint.datasets.recording import Floats
 def read_array(dataset: Any, path: Path) -> Floats:
     """Return an HDF5 data set as float64; raises :class:`BadSource` for one that claims too much or is not real."""
     if not isinstance(dataset, h5py.Dataset):
-        raise BadSource(f"{path}: {dataset.name} is no array; download the file again")
+        raise BadSource(f"{path}: {dataset.name} is not an array; download the file again")
     claimed = int(np.prod([float(n) for n in dataset.shape])) * 8
     if claimed > raise_limit(LARGEST_MEMBER):
         raise BadSource(f"{path}: {dataset.name} claims {claimed} bytes; give --large if this is right")

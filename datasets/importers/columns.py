@@ -85,7 +85,7 @@ class Columns:
 
     def values(self, table: Table) -> Floats:
         """Return (N, k) in the unit of the vocabulary; NaN where a cell is empty."""
-        return table.floats(self.names) * self.signs * self.unit.factor
+        return table.read_floats(self.names) * self.signs * self.unit.factor
 
     @property
     def flipped(self) -> str:

@@ -165,7 +165,7 @@ class _Reading:
         if not 2 <= len(names) <= len(_GPS_COLUMNS) or not all(names):
             raise BadParameter(f"--gps {self.options.gps!r}: write the columns as {_GPS_FORM}")
         values = np.full((len(self.table.rows), 5), np.nan)
-        values[:, : len(names)] = self.table.floats(names)
+        values[:, : len(names)] = self.table.read_floats(names)
         values = values[:, [0, 1, 2, 4, 3]]
         clock = self._read_clock("gps")
         keep = np.isfinite(values[:, :2]).all(axis=1) & clock.known
@@ -207,7 +207,7 @@ class _Reading:
             local_m = parse_columns(options.position, "--position", LENGTH).values(table)[known]
             values[:, 4:7] = local_m @ to_enu.as_matrix().T
         if options.moving is not None:
-            values[:, 7] = table.floats((options.moving,))[known, 0] > 0
+            values[:, 7] = table.read_floats((options.moving,))[known, 0] > 0
         lines = [table.lines[k] for k in np.flatnonzero(known).tolist()]
         series = Series(clock.t_ns[known], values)
         return order_series(series, lines, clock, table.where, "truth", options, self.log)
@@ -232,7 +232,7 @@ class _Reading:
         off = np.where(known, np.abs(norm - 1), 0.0)
         if off.max() > _FARTHEST_NORM:
             line = self.table.lines[int(off.argmax())]
-            raise BadSource(f"{self.table.where}, line {line}: {columns} is no unit quaternion; check the columns")
+            raise BadSource(f"{self.table.where}, line {line}: {columns} is not a unit quaternion; check the columns")
         values[~known] = np.nan
         frame = self.options.truth_frame.upper()
         way = f"{frame} -> body, inverted" if self.options.truth_inverse else f"body -> {frame}"

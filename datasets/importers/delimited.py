@@ -123,7 +123,7 @@ class Table:
         lines = [self.lines[k] for k in kept]
         return Table(self.where, self.columns, rows, lines, self.decimal_comma, self.skipped, self.delimiter)
 
-    def floats(self, columns: tuple[str, ...]) -> Floats:
+    def read_floats(self, columns: tuple[str, ...]) -> Floats:
         """Return columns as (N, k); an empty or NaN cell is NaN. Raises :class:`BadSource` for any other text."""
         places = [self.place(column) for column in columns]
         if isinstance(self.rows, _SplitLines) and len(self.rows) and not self.decimal_comma:

@@ -55,7 +55,7 @@ class _Sensor:
         unit = normalise_unit(_UNITS.get(match[1].strip(), match[1])) if match else default
         if unit not in units:
             raise BadSource(f"{self.file}: {what} is in {unit!r}; there are {', '.join(units)}")
-        series = Series(self.table.times(self.table.columns[0], "ns"), units[unit] * self.table.floats(names))
+        series = Series(self.table.times(self.table.columns[0], "ns"), units[unit] * self.table.read_floats(names))
         series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)
         log.add_conversion(f"{what} from {self.file.parent.name}/data.csv, {unit}")
         return Series(series.t_ns, self.turn.apply(series.values))
@@ -121,7 +121,7 @@ def _read_gps(folder: Path, files: list[Path], log: Log) -> Gps | None:
         return None
     table = read_table(file, ",", log)
     values = np.full((len(table.rows), 5), np.nan)
-    values[:, :3] = table.floats(table.columns[1:4])
+    values[:, :3] = table.read_floats(table.columns[1:4])
     files.append(file)
     return make_gps(Series(table.times(table.columns[0], "ns"), values), log)
 

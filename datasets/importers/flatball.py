@@ -42,7 +42,7 @@ def read_flatball(file: Path, options: Options) -> Imported:
     log.add_conversion("accelerometer g -> m/s^2; gyro deg/s -> rad/s; axes z, x, y of the IMU -> x (spin axis), y, z")
     log.add_note("the place of the IMU on the disc is not published: its lever arm is NaN")
     log.add_note("the attitude of the on-board filter and what it derived (fe-acc, fl-acc) are not imported")
-    spin = Spin(t_ns, FORCE["g"] * table.floats(_ACCEL), RATE["deg/s"] * table.floats(_GYRO), _GEOMETRY)
+    spin = Spin(t_ns, FORCE["g"] * table.read_floats(_ACCEL), RATE["deg/s"] * table.read_floats(_GYRO), _GEOMETRY)
     info = Info(
         source="misc-protolabs/flatball-ins",
         licence="Apache 2.0",
@@ -54,4 +54,4 @@ def read_flatball(file: Path, options: Options) -> Imported:
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
     )
-    return Imported(Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.floats(_MAG)), info=info))
+    return Imported(Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.read_floats(_MAG)), info=info))

@@ -71,7 +71,7 @@ def read_movella(file: Path, options: MovellaOptions) -> Imported:
 
 def _read_columns(table: Table, t_ns: Times, columns: tuple[str, ...], what: str, log: Log) -> Series:
     """Return columns of the table without incomplete rows, sorted by time; raises :class:`BadSource` for none."""
-    series = drop_incomplete_rows(Series(t_ns, table.floats(columns)), what, log)
+    series = drop_incomplete_rows(Series(t_ns, table.read_floats(columns)), what, log)
     if len(series.t_ns) == 0:
         raise BadSource(f"{table.where}: no row has numbers in {', '.join(columns)}; log them")
     return sort_by_time(series, what, log)
@@ -98,7 +98,7 @@ def _read_time(table: Table, text: str, manager: bool, options: MovellaOptions, 
         raise BadParameter(f"{table.where}: has neither {column} nor an update rate; give --rate HZ")
     counter = np.arange(len(table.rows))
     if "PacketCounter" in table.columns:
-        packets = table.floats(("PacketCounter",))[:, 0]
+        packets = table.read_floats(("PacketCounter",))[:, 0]
         if not np.isfinite(packets).all() or (np.abs(packets) > 2**32).any():
             raise BadSource(f"{table.where}: PacketCounter is not a number in every row; remove these rows")
         counter = unwrap_counter(np.asarray(packets, np.int64), "PacketCounter", log)

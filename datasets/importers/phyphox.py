@@ -120,7 +120,7 @@ def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats,
     if not here:
         return None
     one = here[0]
-    values = one.table.floats(one.columns) * _SENSORS[sensor][one.unit]
+    values = one.table.read_floats(one.columns) * _SENSORS[sensor][one.unit]
     log.add_conversion(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {_TARGET[sensor]}")
     series = drop_incomplete_rows(Series(_read_clock(one.table, starts), values), sensor, log)
     return sort_by_time(drop_before_zero(series, sensor, log), sensor, log)
@@ -154,7 +154,7 @@ def _read_starts(bundle: Bundle, log: Log) -> Floats:
         return np.empty((0, 2))
     table = parse(bundle.texts[name], bundle.where(name))
     event = table.place("event")
-    times = table.floats(("experiment time", "system time"))
+    times = table.read_floats(("experiment time", "system time"))
     starts = times[[row[event].upper() == "START" for row in table.rows]]
     if len(starts):
         log.add_conversion(f"experiment time -> system time (UTC) by meta/time.csv, {len(starts)} starts")
@@ -177,7 +177,7 @@ def _read_gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
             for word, unit in _PLACE
         ]
         if all(columns):
-            values = table.floats(tuple(str(column) for column in columns))
+            values = table.read_floats(tuple(str(column) for column in columns))
             series = Series(_read_clock(table, starts), values)
             keep = find_finite_rows(series.values[:, :2])
             return make_gps(series.where(keep), log) if keep.any() else None

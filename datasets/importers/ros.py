@@ -241,7 +241,7 @@ def read_imu(
     if given[k]["q"].any():
         messages = keep_frame(parts[k].where(given[k]["q"]), options.frame, "--frame")
         series = sort_by_time(settle_stamps(messages, messages.numbers["q"], Log()), "device", Log())
-        turn = mounting.rotation_to(options.body_frame, options.imu_frame or str(messages.frames[0]))
+        turn = mounting.find_rotation(options.body_frame, options.imu_frame or str(messages.frames[0]))
         norm = np.linalg.norm(series.values, axis=1)
         rotations = rotation(np.where(norm[:, None] > 0.5, series.values, [1.0, 0.0, 0.0, 0.0])) * turn.inv()
         device = Series(series.t_ns, np.where(norm[:, None] > 0.5, quaternion(rotations), 0.0))
@@ -291,7 +291,7 @@ def _read_vectors(
     if options.body_frame is None:
         return series
     frame = options.imu_frame if what != "mag" and options.imu_frame is not None else str(messages.frames[0])
-    turn = mounting.rotation_to(options.body_frame, frame)
+    turn = mounting.find_rotation(options.body_frame, frame)
     log.add_conversion(f"{what} turned from {frame} to {options.body_frame} by /tf_static; its lever arm is left out")
     return Series(series.t_ns, turn.apply(series.values.copy()))
 

@@ -99,7 +99,7 @@ def _find_files(source: Path) -> tuple[list[Path], Callable[[Path], Container]]:
     if source.is_file():
         readers: dict[str, Callable[[Path], Container]] = {".mcap": Scan, ".bag": _BagScan, ".db3": _Db3Scan}
         if source.suffix not in readers:
-            raise BadSource(f"{source}: is no bag; name a ROS 1 .bag, the folder of a ROS 2 bag, or an .mcap")
+            raise BadSource(f"{source}: is not a bag; name a ROS 1 .bag, the folder of a ROS 2 bag, or an .mcap")
         return [source], readers[source.suffix]
     for suffix, scan in ((".mcap", Scan), (".db3", _Db3Scan)):
         files = sorted(source.glob(f"*{suffix}"), key=lambda file: (len(file.name), file.name))
@@ -399,7 +399,9 @@ def _make_messages(
         name, bracket, place = leaf.partition("[")
         values = columns.get(prefix + name)
         if values is None:
-            raise BadSource(f"{path}: {topic} ({kind}) has no {leaf} in all messages; it is no message of this type")
+            raise BadSource(
+                f"{path}: {topic} ({kind}) has no {leaf} in all messages, as this type should; name another topic"
+            )
         return np.asarray(values[:, int(place[:-1])] if bracket else values, np.float64)
 
     def text(leaf: str) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Frames of ROS: which of several a topic speaks of, and the fixed rotations between them in ``/tf_static``."""
+"""Frames of ROS: which of several frames a topic uses, and the fixed rotations between them in ``/tf_static``."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class StaticFrames:
                 parents[strip_slash(child)] = (strip_slash(frame), rotation(q))
         return StaticFrames(parents)
 
-    def rotation_to(self, target: str | None, frame: str) -> Rotation:
+    def find_rotation(self, target: str | None, frame: str) -> Rotation:
         """Return the rotation that takes vectors of ``frame`` to ``target``; the identity without a target.
 
         Raises :class:`BadParameter` where the tree does not connect the two.

@@ -82,7 +82,7 @@ def _read(table: Table, time: str, columns: str, axes: str, what: str, log: Log)
     names = tuple(columns.format(axis) for axis in axes)
     if time not in table.columns or any(name not in table.columns for name in names):
         return None
-    clock, values = table.clock(time, "s"), table.floats(names)
+    clock, values = table.clock(time, "s"), table.read_floats(names)
     keep = clock.known & np.isfinite(values).all(axis=1)
     t_ns, values = clock.t_ns[keep], values[keep]
     fresh = np.diff(t_ns, prepend=-1) != 0
@@ -114,7 +114,7 @@ def _read_gps(table: Table, gyro: Series, log: Log) -> Gps | None:
     logged, since_boot = table.clock("loggingTime(txt)", ISO), table.clock(str(gyro_time), "s")
     both = logged.known & since_boot.known
     booted_ns = int(np.median(logged.t_ns[both] - since_boot.t_ns[both]))
-    clock, values = table.clock(stamp, "s"), table.floats(names)
+    clock, values = table.clock(stamp, "s"), table.read_floats(names)
     keep = clock.known & np.isfinite(values[:, :2]).all(axis=1)
     t_ns = clock.t_ns[keep] - booted_ns
     fresh = (np.diff(t_ns, prepend=-1) != 0) & (t_ns >= 0)

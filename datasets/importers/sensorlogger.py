@@ -108,7 +108,7 @@ def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> _Phone:
 def _read_series(bundle: Bundle, name: str, log: Log) -> Series:
     """Return x, y, z of a file on its own stamps."""
     table = parse(bundle.texts[name], bundle.where(name), ",")
-    series = Series(table.times("time", "ns"), table.floats(("x", "y", "z")))
+    series = Series(table.times("time", "ns"), table.read_floats(("x", "y", "z")))
     return sort_by_time(drop_incomplete_rows(series, name, log), name, log)
 
 
@@ -191,7 +191,7 @@ def _read_attitude(bundle: Bundle, log: Log) -> Series | None:
         return None
     try:
         table = parse(bundle.texts[name], bundle.where(name), ",")
-        series = Series(table.times("time", "ns"), table.floats(("qw", "qx", "qy", "qz")))
+        series = Series(table.times("time", "ns"), table.read_floats(("qw", "qx", "qy", "qz")))
     except BadSource as error:
         log.add_note(f"attitude left out: {error}")
         return None
@@ -204,4 +204,4 @@ def _read_gps(bundle: Bundle, log: Log) -> Gps | None:
     if name is None:
         return None
     table = parse(bundle.texts[name], bundle.where(name), ",")
-    return make_gps(Series(table.times("time", "ns"), table.floats(_GPS_COLUMNS)), log)
+    return make_gps(Series(table.times("time", "ns"), table.read_floats(_GPS_COLUMNS)), log)

@@ -190,7 +190,7 @@ def _read_tum(table: Table, file: Path, options: _PoseOptions, log: Log) -> Trut
             raise BadSource(f"{file}, line {line}: has {len(row)} words; {wanted}")
     names = table.columns
     t_ns = table.times(names[0], "s")
-    values = table.floats(names[1:8])
+    values = table.read_floats(names[1:8])
     return _make_poses(t_ns, from_xyzw(values[:, 3:]), values[:, :3], table, log, wanted)
 
 
@@ -200,7 +200,7 @@ def _read_euroc(table: Table, file: Path, options: _PoseOptions, log: Log) -> Tr
     if len(names) < _EUROC_WIDTH:
         raise BadSource(f"{file}: its header has {len(names)} names; a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
     t_ns = table.times(names[0], "ns")
-    values = table.floats(names[1:8])
+    values = table.read_floats(names[1:8])
     return _make_poses(t_ns, values[:, 3:], values[:, :3], table, log, "a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
 
 
@@ -214,12 +214,12 @@ def _read_kitti(table: Table, file: Path, options: _PoseOptions, log: Log) -> Tr
         raise BadSource(
             f"{times}: has {len(stamps.rows)} stamps for {len(table.rows)} poses; name the file of these poses"
         )
-    matrices = table.floats(table.columns).reshape(-1, 3, 4)
+    matrices = table.read_floats(table.columns).reshape(-1, 3, 4)
     turns = matrices[:, :, :3]
     off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     if not (off < 10 * _LENGTH_OFF).all() or (np.linalg.det(turns) < 0).any():
         line = table.lines[int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))]
-        raise BadSource(f"{file}, line {line}: is no rotation; a KITTI pose is twelve numbers, three rows of four")
+        raise BadSource(f"{file}, line {line}: is not a rotation; a KITTI pose is twelve numbers, three rows of four")
     q_nb = quaternion(Rotation.from_matrix(turns))
     return _make_poses(stamps.times(stamps.columns[0], "s"), q_nb, matrices[:, :, 3], table, log, "")
 

@@ -101,7 +101,7 @@ def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported
 
 def _read_columns(table: Table, device: _Device, columns: tuple[str, ...], what: str, log: Log) -> Series:
     """Return columns on the device's clock without incomplete rows, sorted by time."""
-    series = Series(table.times(*device.time), table.floats(columns))
+    series = Series(table.times(*device.time), table.read_floats(columns))
     return sort_by_time(drop_incomplete_rows(series, what, log), what, log)
 
 

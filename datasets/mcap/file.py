@@ -59,7 +59,7 @@ def write_file(path: Path, leaves_cache: bool = False) -> Iterator[IO[bytes]]:
     """
     target = path.resolve()
     if target.exists() and not target.is_file():
-        raise BadFile(f"{path}: is there already and is no ordinary file; name another")
+        raise BadFile(f"{path}: is there already and is not an ordinary file; name another")
     try:
         with write_atomically(path, leaves_cache) as file:
             yield file

@@ -371,7 +371,7 @@ def cut_topic(topic: Topic, first_ns: int | None = None, last_ns: int | None = N
 
 
 class _View:
-    """A layout as it looks at whole records, and the columns to take from them.
+    """The layout of whole records, and the columns to take from them.
 
     ``columns`` are the leaves of each column; None: each leaf is one. Raises :class:`cdr.Undecodable` where the layout
     lacks one.

@@ -194,7 +194,7 @@ class Scan:
             return
         if not rest.endswith(MAGIC) or not sound:
             raise DamagedError("its summary or its last bytes are not as they were written")
-        for opcode, record in _Records(io.BytesIO(body), len(body)).until_footer():
+        for opcode, record in _Records(io.BytesIO(body), len(body)).read_summary():
             if opcode == Opcode.STATISTICS:
                 count, found = parse_record(Statistics, record).message_count, sum(self.counts.values())
                 if count != found:
@@ -237,7 +237,7 @@ class _Records:
             yield head[0], body
             crc = crc32(body, crc32(head, crc))
 
-    def until_footer(self) -> Iterator[tuple[int, bytes]]:
+    def read_summary(self) -> Iterator[tuple[int, bytes]]:
         """Yield the records of the summary."""
         while True:
             head, body = self._read_next()

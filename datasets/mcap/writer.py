@@ -168,7 +168,9 @@ class MessageWriter:
         for group in self._groups:
             group.close_before(until_ns)
         while self._groups:
-            first = min(self._groups, key=lambda group: group.next_ns(until_ns))  # the first of equals, as in one piece
+            first = min(
+                self._groups, key=lambda group: group.find_next_ns(until_ns)
+            )  # the first of equals, as in one piece
             if not first.finished:
                 return
             self._out.add_chunk(first.finished.popleft().lay_out)
@@ -407,7 +409,7 @@ class _Group:
         self.start_ns: int | None = None  # of the first message
         self.blanks: dict[tuple[int, ...], NDArray[np.uint8]] = {}  # by the channels that follow each other in turn
 
-    def next_ns(self, until_ns: int | None) -> float:
+    def find_next_ns(self, until_ns: int | None) -> float:
         """Return when the next chunk begins; without a message yet, the earliest time at which it can."""
         if self.finished:
             return self.finished[0].first_ns
@@ -436,30 +438,30 @@ class _Group:
             streams, [maker.take_numbers(len(stream.t_ns)) for maker, stream in zip(makers, streams, strict=True)]
         )
         if self.start_ns is None:
-            self.start_ns = order.time_of(0)
+            self.start_ns = order.get_time(0)
         first = 0
         while first < order.count:
-            number = (self.size + order.end_of(first)) // _CHUNK_BYTES
-            span = (order.time_of(first) - self.start_ns) // _CHUNK_SPAN_NS
+            number = (self.size + order.get_end(first)) // _CHUNK_BYTES
+            span = (order.get_time(first) - self.start_ns) // _CHUNK_SPAN_NS
             last = min(
                 order.find_end((number + 1) * _CHUNK_BYTES - self.size),
                 order.find_time(self.start_ns + (span + 1) * _CHUNK_SPAN_NS),
             )
             rows = []
             for k, (maker, stream) in enumerate(zip(makers, streams, strict=True)):
-                own, offsets = order.rows_of(k, first, last)
+                own, offsets = order.find_rows(k, first, last)
                 if len(offsets):
                     rows.append(_Rows(maker, stream, own, heads[k], offsets))
-            begin = order.end_of(first - 1) if first else 0
-            size = order.end_of(last - 1) - begin
+            begin = order.get_end(first - 1) if first else 0
+            size = order.get_end(last - 1) - begin
             blank = self._find_blank(makers, begin % order.turn, size) if order.turn else _NO_BYTES
             part = _Part(size, order.turn, blank, rows)
-            self._append_part((number, span), order.time_of(first), part)
+            self._append_part((number, span), order.get_time(first), part)
             first = last
-        self.size += order.end_of(order.count - 1)
+        self.size += order.get_end(order.count - 1)
 
     def _find_blank(self, makers: Sequence[_Messages], begin: int, size: int) -> NDArray[np.uint8]:
-        """Return messages that follow each other in turn, without what differs, from a byte of the first turn on."""
+        """Return the constant bytes of messages that follow each other in turn, from a byte of the first turn on."""
         key = tuple(maker.channel for maker in makers)
         have = self.blanks.get(key)
         if have is None or len(have) < begin + size:
@@ -483,10 +485,10 @@ class _Order(Protocol):
     count: int
     turn: int  # bytes from a message to the next of its stream; 0 where the streams do not follow each other in turn
 
-    def time_of(self, m: int) -> int:
+    def get_time(self, m: int) -> int:
         """Return the time of message m."""
 
-    def end_of(self, m: int) -> int:
+    def get_end(self, m: int) -> int:
         """Return the bytes of all messages up to m, with it."""
 
     def find_end(self, size: int) -> int:
@@ -495,7 +497,7 @@ class _Order(Protocol):
     def find_time(self, t_ns: int) -> int:
         """Return the first message at ``t_ns`` or later; ``count`` where there is none."""
 
-    def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+    def find_rows(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
         """Return the rows of a stream among some messages, and their offsets from the beginning of the first one."""
 
 
@@ -507,10 +509,10 @@ class _InTurn:
         self._streams = len(sizes)
         self.count, self.turn = len(t_ns) * self._streams, int(self._ends[-1])
 
-    def time_of(self, m: int) -> int:
+    def get_time(self, m: int) -> int:
         return int(self._t_ns[m // self._streams])
 
-    def end_of(self, m: int) -> int:
+    def get_end(self, m: int) -> int:
         return m // self._streams * self.turn + int(self._ends[m % self._streams])
 
     def find_end(self, size: int) -> int:
@@ -520,12 +522,12 @@ class _InTurn:
     def find_time(self, t_ns: int) -> int:
         return _find_time(self._t_ns, t_ns) * self._streams
 
-    def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+    def find_rows(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
         """Return the rows of a stream among some messages, and their offsets from the beginning of the first one."""
         own = first + (stream - first) % self._streams
         count = max(-(-(last - own) // self._streams), 0)
         row = own // self._streams
-        begin = (self.end_of(own - 1) if own else 0) - (self.end_of(first - 1) if first else 0)
+        begin = (self.get_end(own - 1) if own else 0) - (self.get_end(first - 1) if first else 0)
         return slice(row, row + count), begin + self.turn * np.arange(count, dtype=np.int64)
 
 
@@ -543,10 +545,10 @@ class _Merged:
         self._own = [np.flatnonzero(which == k) for k in range(len(times))]
         self.count, self.turn = len(together), 0
 
-    def time_of(self, m: int) -> int:
+    def get_time(self, m: int) -> int:
         return int(self._times[m])
 
-    def end_of(self, m: int) -> int:
+    def get_end(self, m: int) -> int:
         return int(self._ends[m])
 
     def find_end(self, size: int) -> int:
@@ -555,7 +557,7 @@ class _Merged:
     def find_time(self, t_ns: int) -> int:
         return _find_time(self._times, t_ns)
 
-    def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+    def find_rows(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
         """Return the rows of a stream among some messages, and their offsets from the beginning of the first one."""
         own = self._own[stream]
         rows = slice(*np.searchsorted(own, [first, last]).tolist())

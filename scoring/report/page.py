@@ -39,7 +39,7 @@ class Verdict:
 
 
 def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = "nwu") -> tuple[Verdict, ...]:
-    """Score against the first reference and against the truth, where there are such; no reference judges itself."""
+    """Score against the first reference and the truth, where they exist; a reference does not judge itself."""
     judges: list[tuple[Reference | Truth, tuple[Reference | Estimate, ...]]] = [
         (first, (*material.references[1:], *material.estimates)) for first in material.references[:1]
     ]

@@ -103,7 +103,7 @@ def make_phone(n: int, seed: int = 0) -> Recording:
 
 
 class Peer:
-    """The way that the documentation of ``mcap`` shows: one Python object per message."""
+    """Reads and writes as the documentation of ``mcap`` shows: one Python object per message."""
 
     def __init__(self) -> None:
         """Import the peer; raises :class:`BadParameter` where it is not installed."""

@@ -87,7 +87,7 @@ class Task(Generic[Item]):
             raise BadFile(f"{path.name}: was replaced while it was worked on; run the command again")
         return digest
 
-    def origin_with(self, row: Mapping[str, Any]) -> Mapping[str, str]:
+    def make_origin(self, row: Mapping[str, Any]) -> Mapping[str, str]:
         """Return the record of a file with the facts that the verb prints; empty where it has no key."""
         return {**self.origin, _ROW: to_json(row)} if self.origin else {}
 
@@ -112,7 +112,7 @@ def run_kept(
     Parameters
     ----------
     function
-        Makes the result of a task; one that writes a file gives it ``task.origin_with(result)``.
+        Makes the result of a task; one that writes a file gives it ``task.make_origin(result)``.
     items, workers, what, here_up_to
         As for :func:`run_jobs`; ``what`` is the verb.
     decide
@@ -178,7 +178,7 @@ class _Store:
             return None
 
     def keep(self, plan: Deciding, origin: Mapping[str, str], outcome: Outcome[Any]) -> None:
-        """Keep a result, unless its file does, and an error that follows from the input."""
+        """Keep a result that its file does not hold, or an error that follows from the input."""
         if not origin or self._store is None or (outcome.error is not None and not outcome.refused):
             return
         if outcome.error is None and plan.target is not None and self._type is dict:

@@ -22,7 +22,7 @@ class Latency:
         self.max_ns = max(self.max_ns, ns)
         self.bins[min(int(np.log2(max(ns, 1)) * _PER_OCTAVE), len(self.bins) - 1)] += 1
 
-    def quantile_us(self, share: float) -> float:
+    def find_quantile_us(self, share: float) -> float:
         """Return the duration that this share of the samples did not exceed, in µs; NaN without samples."""
         if self.n == 0:
             return float("nan")
@@ -32,7 +32,7 @@ class Latency:
     def facts(self) -> dict[str, float]:
         """Return median, 99th percentile and maximum in µs."""
         return {
-            "median_us": self.quantile_us(0.5),
-            "p99_us": self.quantile_us(0.99),
+            "median_us": self.find_quantile_us(0.5),
+            "p99_us": self.find_quantile_us(0.99),
             "max_us": self.max_ns / 1e3,
         }

@@ -178,7 +178,7 @@ def _run_in_pieces(task: Task[_Job]) -> dict[str, Any]:
         digest = task.hash_input(job.source)
         last = replace(run.close(last), made_from={job.source.name: digest})
         row = _make_row(samples, last)
-        out.close(last, task.origin_with(row))
+        out.close(last, task.make_origin(row))
     return row
 
 
@@ -207,7 +207,7 @@ def _run_whole(task: Task[_Job]) -> dict[str, Any]:
     row = _make_row(len(made.t_ns), made)
     with open_trajectory(job.target) as out:
         out.add(made)
-        out.close(made, task.origin_with(row))
+        out.close(made, task.make_origin(row))
     return row
 
 

@@ -90,7 +90,7 @@ def _plot_board(file: Path, kind: Kind, out: Path, width: float, wanted: str | N
         board = Leaderboard.from_json(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = f"{type(error).__name__}: {error}"
-        raise BadParameter(f"{file}: is no result of stillpoint leaderboard ({reason})") from None
+        raise BadParameter(f"{file}: is not a result of stillpoint leaderboard ({reason})") from None
     if kind == "map":
         write_figure(out, 1, get_map_height_in(board), lambda axes: draw_map(axes[0], board), width)
         print_line(out)

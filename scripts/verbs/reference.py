@@ -259,7 +259,7 @@ def _say_kept(windows: WindowFolder, name: str) -> None:
 
 def _say_origin(task: Task[_Job], facts: Mapping[str, Any]) -> Mapping[str, str]:
     """Return what the file says about its origin; without the time that it took, so that it has the same bytes."""
-    return task.origin_with({**facts, "seconds": None})
+    return task.make_origin({**facts, "seconds": None})
 
 
 def _format_seconds(row: Mapping[str, Any]) -> str:

@@ -97,7 +97,9 @@ def gather_material(path: Path) -> Material | SpinMaterial:
     ):
         thing = read(file)
         if not isinstance(thing, Reference | SpinReference | Estimate):
-            raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")
+            raise BadParameter(
+                f"{file}: holds a recording, but its name ends as that of a reference or an estimate; rename it"
+            )
         require_same(file, thing.made_from, path, hashes)
         if is_spin(thing) != of_spin:
             print_line(f"{file}: left out, {'an attitude' if of_spin else 'an angle about one axis'}", file=sys.stderr)

@@ -174,7 +174,7 @@ def read_settings(path: Path, estimator: str) -> tuple[dict[str, Any], str]:
     except OSError as error:
         raise BadParameter(f"{estimator}@{path}: cannot be read ({error.strerror}); name a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadParameter(f"{estimator}@{path}: is no TOML ({error}); stillpoint tune --save writes one") from None
+        raise BadParameter(f"{estimator}@{path}: is not TOML ({error}); stillpoint tune --save writes one") from None
     settings = content.get("params", {})
     if content.get("estimator", estimator) != estimator:
         raise BadParameter(f"{estimator}@{path}: holds parameters of {content['estimator']}; use them with that name")

@@ -50,7 +50,7 @@ def read_study(path: Path) -> Study:
     except OSError as error:
         raise BadParameter(f"{path}: cannot be read ({error.strerror}); check the name") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadParameter(f"{path}: is no TOML ({error})") from None
+        raise BadParameter(f"{path}: is not TOML ({error})") from None
     known = [each.name for each in fields(Study)]
     unknown = next((name for name in content if name not in (*known, "stillpoint")), None)
     if unknown is not None:
@@ -101,7 +101,7 @@ def _parse_texts(content: Mapping[str, Any], name: str, path: Path) -> Sequence[
     if isinstance(value, str):
         return [value]
     if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
-        raise BadParameter(f'{path}: {name} is no list of texts; write {name} = ["…", "…"]')
+        raise BadParameter(f'{path}: {name} is not a list of texts; write {name} = ["…", "…"]')
     return value
 
 

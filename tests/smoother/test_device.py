@@ -177,5 +177,5 @@ def test_names_are_data(tmp_path):
 def test_a_file_that_is_no_calibration_is_refused(tmp_path, text):
     path = tmp_path / "x.calibration.toml"
     path.write_text(text)
-    with pytest.raises(BadFile, match="is no calibration of a device"):
+    with pytest.raises(BadFile, match="is not a calibration of a device"):
         load_calibration(path)

@@ -72,7 +72,7 @@ def test_what_was_asked_beside_the_parameters_is_asked_again(tmp_path):
 
 
 def test_an_estimate_that_was_changed_is_found(archive, tmp_path):
-    kept = read(archive.path_of(archive.resolve("known.cf.estimate.mcap")))
+    kept = read(archive.find_path(archive.resolve("known.cf.estimate.mcap")))
     turned = rotation(kept.q_nb) * rotation(np.array([1.0, 1e-6, 0, 0]) / np.sqrt(1 + 1e-12))
     write(tmp_path / "changed.estimate.mcap", replace(kept, q_nb=quaternion(turned)))
     list(archive.add([tmp_path / "changed.estimate.mcap"]))
@@ -82,7 +82,7 @@ def test_an_estimate_that_was_changed_is_found(archive, tmp_path):
 
 
 def test_what_cannot_be_made_again_is_said(archive, tmp_path):
-    kept = read(archive.path_of(archive.resolve("known.cf.estimate.mcap")))
+    kept = read(archive.find_path(archive.resolve("known.cf.estimate.mcap")))
     write(tmp_path / "free.estimate.mcap", replace(kept, made_from={}))
     list(archive.add([tmp_path / "free.estimate.mcap"]))
     _, reasons = draw_jobs(archive, None, 0)
@@ -95,7 +95,7 @@ def test_a_draw_is_repeatable_and_of_the_size_asked_for(archive):
 
 
 def test_other_times_are_no_match(archive):
-    kept = read(archive.path_of(archive.resolve("known.cf.estimate.mcap")))
+    kept = read(archive.find_path(archive.resolve("known.cf.estimate.mcap")))
     assert compute_largest_difference_rad(kept, replace(kept, t_ns=kept.t_ns + 1)) == np.inf
 
 

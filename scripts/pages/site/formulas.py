@@ -49,7 +49,7 @@ class _Inline(InlineProcessor):
 
 
 class MathExtension(Extension):
-    """Adds both to a Markdown converter."""
+    """Adds displayed and inline formulas to a Markdown converter."""
 
     def extendMarkdown(self, md: Markdown) -> None:  # noqa: N802, D102
         md.preprocessors.register(_Blocks(md), "math-blocks", _BEFORE_FENCES)

@@ -45,7 +45,7 @@ def make_entry_row(archive: Archive, entry: Entry) -> dict[str, Any]:
         "added": entry.added,
         "removed": entry.removed or None,
         "problem": entry.problem or None,
-        "path": str(archive.path_of(entry)),
+        "path": str(archive.find_path(entry)),
         "tags": tags,
         "metadata": metadata,
         **{key: value for key, value in entry.columns.items() if value is not None},

@@ -47,7 +47,7 @@ def find(
         entries = opened.find(query)
         if paths:
             for entry in entries:
-                print_line(opened.path_of(entry))
+                print_line(opened.find_path(entry))
         elif json != STDOUT:
             print_entries(opened, f"{len(entries)} found", entries)
         write_json(json, [make_entry_row(opened, entry) for entry in entries] if json else [])

@@ -157,7 +157,7 @@ def gc(
     """
     age = read_span(older_than, "--older-than")
     with open_named(archive) as opened:
-        entries = opened.removable(age)
+        entries = opened.list_removable(age)
         print_entries(opened, f"removed more than {older_than} ago", entries)
         size = sum(entry.size for entry in entries) / 1e6
         if not entries or not yes:

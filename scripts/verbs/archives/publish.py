@@ -172,9 +172,9 @@ def bundle(
         named = list(found) if estimators is None else split_names(estimators)
         for name in named:
             require_known(name, found, f"estimate of {entry.name}")
-        recording = read_recording(opened.path_of(entry))
-        reference = read(opened.path_of(references[-1])) if references else None
-        estimates = [read_estimate(opened.path_of(found[name])) for name in named]
+        recording = read_recording(opened.find_path(entry))
+        reference = read(opened.find_path(references[-1])) if references else None
+        estimates = [read_estimate(opened.find_path(found[name])) for name in named]
     if not isinstance(reference, Reference | SpinReference | None):
         raise BadParameter(f"{references[-1].file_name}: is not a reference; name one")
     reasons = write_one_file(out, recording, reference, estimates)

@@ -73,7 +73,7 @@ class Trials:
         """Raise :class:`BadParameter` when recordings come with an option that only simulated trials have."""
         for name, value in options.items():
             if self.recording is not None and value is not None:
-                raise BadParameter(f"--{name}: is of simulated trials; leave it out beside --recording")
+                raise BadParameter(f"--{name}: applies to simulated trials only; leave it out with --recording")
 
     @property
     def words(self) -> str:

@@ -64,7 +64,7 @@ def test_two_files_with_one_name_get_two_links(archive, tmp_path):
     first, second = archive.find("kind:recording")
     assert first.link == "run.mcap"
     assert second.link == f"run~{second.sha256[:8]}.mcap"
-    assert sha256_of(archive.path_of(second)) == second.sha256
+    assert sha256_of(archive.find_path(second)) == second.sha256
     with pytest.raises(BadParameter, match="names 2 objects"):
         archive.resolve("run")
 
@@ -110,8 +110,8 @@ def test_removal_keeps_a_tombstone_and_gc_frees_only_what_is_marked(archive, fam
         archive.remove([recording], "wrong subject")
     assert {entry.sha256 for entry in archive.remove([estimate], "wrong settings")} == {estimate}
     assert [entry.sha256 for entry in archive.find("all")] == [recording, reference]
-    assert archive.removable(timedelta(days=1)) == []
-    archive.collect(archive.removable(timedelta(0)))
+    assert archive.list_removable(timedelta(days=1)) == []
+    archive.collect(archive.list_removable(timedelta(0)))
     assert not archive.storage.has(archive.read_record(estimate).object_key)
     assert archive.storage.has(archive.read_record(reference).object_key)
     tombstone = archive.read_record(estimate)
@@ -145,9 +145,9 @@ def test_the_views_answer_plain_sql(archive, family):
 
 def test_an_archive_is_made_in_an_empty_folder_only(tmp_path):
     (tmp_path / "file").write_text("here already")
-    with pytest.raises(BadParameter, match="no empty folder"):
+    with pytest.raises(BadParameter, match="not an empty folder"):
         create_archive(tmp_path)
-    with pytest.raises(BadParameter, match="is no archive"):
+    with pytest.raises(BadParameter, match="is not an archive"):
         open_archive(tmp_path)
 
 

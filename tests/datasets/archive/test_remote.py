@@ -124,7 +124,7 @@ def test_a_remote_archive_is_as_a_local_one(place, tmp_path):
         assert [one.status for one in archive.add(files)] == ["present"] * 3
         before = archive.catalogue.dump()
         entry = archive.resolve("walk")
-        assert read(archive.path_of(entry)).imu.t_ns.tobytes() == read(files[0]).imu.t_ns.tobytes()
+        assert read(archive.find_path(entry)).imu.t_ns.tobytes() == read(files[0]).imu.t_ns.tobytes()
         assert verify_archive(archive).faults == ()
         for file in archive.home.glob("catalogue.sqlite*"):
             file.unlink()

@@ -181,7 +181,7 @@ def remove_parent_by_hand(home):
 def bring_back_freed_bytes(home):
     gone = home.parent / "gone.mcap"
     with open_archive(home) as archive:
-        archive.collect(archive.removable(timedelta(0)))
+        archive.collect(archive.list_removable(timedelta(0)))
         (record,) = [archive.read_record(entry.sha256) for entry in archive.find("is:removed")]
         shutil.copy(gone, home / record.object_key)
 
@@ -233,7 +233,7 @@ def test_the_raw_file_of_a_device_s_attitude_may_stay_outside(home, tmp_path):
     """An importer read it, as it read the raw file of a recording. Its recording has to be here."""
     recording = tmp_path / "walk.mcap"
     with open_archive(home) as archive:
-        shutil.copy(archive.path_of(archive.resolve("walk.mcap")), recording)
+        shutil.copy(archive.find_path(archive.resolve("walk.mcap")), recording)
         made = write_estimate(tmp_path / "walk.device.estimate.mcap", recording, "device")
         kept = read(made)
         write(made, replace(kept, made_from={**kept.made_from, "phone/rotation-vector.txt": "ab" * 32}))
@@ -302,7 +302,7 @@ def test_plain_files_serve_as_a_copy(home):
 
 def test_a_deleted_mark_gives_one_line_error(home):
     delete_mark(home)
-    with pytest.raises(Exception, match="is no archive") as caught:
+    with pytest.raises(Exception, match="is not an archive") as caught:
         open_archive(home)
     assert "\n" not in str(caught.value)
 

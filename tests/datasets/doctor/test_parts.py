@@ -37,7 +37,7 @@ def test_a_vector_fixed_in_the_world_changes_as_the_true_rate_says(k, seed):
     offset = np.array([1.0, 2.0, 3.0])
     vector = Rotation.concatenate(attitude).inv().apply(rng.normal(size=3)) + offset
     imu = Imu(stamps(1001), rate @ CANDIDATES[k], np.ones((1001, 3)))
-    at = Grid(make_gyro_series(imu, 0), make_vector_series(imu.t_ns, vector, 0), 0.0).at_lag(0.0)
+    at = Grid(make_gyro_series(imu, 0), make_vector_series(imu.t_ns, vector, 0), 0.0).make_windows(0.0)
     predicted = at.predict_change(CANDIDATES[k], offset)
     assert np.abs(predicted - at.change).max() < 1e-3 * np.abs(at.change).max()
 

@@ -117,7 +117,7 @@ def test_a_wrong_config_file_gives_one_line_error(tmp_path, text, said):
     refused("csv", log(tmp_path, HEADER, *ROWS), CsvOptions(config=config), "log.toml", said)
 
 
-@pytest.mark.parametrize(("truth", "said"), [("gx,gy,gz,ax", "no row has a quaternion"), ("gx,gy,gz,az", "no unit")])
+@pytest.mark.parametrize(("truth", "said"), [("gx,gy,gz,ax", "no row has a quaternion"), ("gx,gy,gz,az", "not a unit")])
 def test_columns_without_quaternions_are_refused(tmp_path, truth, said):
     refused("csv", log(tmp_path, HEADER, *ROWS), CsvOptions(**{**vars(GOOD), "truth": truth}), "log.csv", said)
 
@@ -234,7 +234,7 @@ def test_phyphox_says_what_to_record(tmp_path):
 
 def test_ros_refuses_what_is_no_bag_and_lists_topics(tmp_path):
     (tmp_path / "x.txt").write_text("hello")
-    refused("ros", tmp_path / "x.txt", None, "x.txt", "is no bag")
+    refused("ros", tmp_path / "x.txt", None, "x.txt", "is not a bag")
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0\nbut cut off")
     refused("ros", tmp_path / "x.bag", None, "x.bag", "cut short")
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP?")

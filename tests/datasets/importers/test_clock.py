@@ -139,12 +139,12 @@ def test_numbers_come_back_from_each_kind_of_text(delimiter, rows, quoted):
     lines += [delimiter.join(cell(x) for x in row) for row in rows]
     table = parse("\n".join(lines), "f")
     assert table.columns == tuple(head)
-    assert (table.floats(("d (°)", "a b")) == np.array(rows)[:, [2, 0]]).all()
+    assert (table.read_floats(("d (°)", "a b")) == np.array(rows)[:, [2, 0]]).all()
 
 
 def test_empty_cells_are_nan_and_a_headerless_table_counts_its_columns():
     table = parse("1,,3\n4,5,nan\n", "f")
-    np.testing.assert_array_equal(table.floats(("2", "3")), [[np.nan, 3], [5, np.nan]])
+    np.testing.assert_array_equal(table.read_floats(("2", "3")), [[np.nan, 3], [5, np.nan]])
 
 
 @pytest.mark.parametrize(

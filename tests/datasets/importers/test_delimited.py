@@ -45,7 +45,7 @@ def read_lines(rows: list[tuple[str, ...]], delimiter: str) -> Table:
 def ask(table: Table, columns: tuple[str, ...]) -> bytes | str:
     """The bits of the numbers, or the message."""
     try:
-        return table.floats(columns).tobytes()
+        return table.read_floats(columns).tobytes()
     except BadSource as error:
         return str(error)
 
@@ -61,14 +61,14 @@ def test_lines_give_the_same_bits_and_messages_as_cells(rows: list[tuple[str, ..
 def test_plain_lines_are_not_split_into_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(delimited._SplitLines, "_split", lambda *_: pytest.fail("a line was split"))
     table = read_lines([("1700000000000", "0.5", "-1e-3"), ("1700000000005", " 2", "3")], ",")
-    np.testing.assert_array_equal(table.floats(("c", "b")), [[-1e-3, 0.5], [3, 2]])
+    np.testing.assert_array_equal(table.read_floats(("c", "b")), [[-1e-3, 0.5], [3, 2]])
     assert table.clock("a", "ms").t_ns.tolist() == [1_700_000_000_000_000_000, 1_700_000_000_005_000_000]
 
 
 def test_a_line_that_ends_early_is_named() -> None:
     table = parse("a,b,c\n1,2,3\n1,2\n1,2,3\n", "f")
     with pytest.raises(BadSource, match=r"line 3: has 2 cells, column 'c' is number 3"):
-        table.floats(("c",))
+        table.read_floats(("c",))
     assert table.clock("b", "s").t_ns.tolist() == [2_000_000_000] * 3
     assert table.clock("c", "s").known.tolist() == [True, False, True]
 

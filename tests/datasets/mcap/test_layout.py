@@ -39,15 +39,15 @@ def test_topics_in_turn_have_the_order_of_topics_that_are_merged(
     in_turn, merged = _InTurn(t_ns, sizes), _Merged([t_ns] * len(sizes), sizes)
     assert in_turn.count == merged.count
     for m in range(merged.count):
-        assert (in_turn.time_of(m), in_turn.end_of(m)) == (merged.time_of(m), merged.end_of(m))
-    for size in range(1, merged.end_of(merged.count - 1) + 3):
+        assert (in_turn.get_time(m), in_turn.get_end(m)) == (merged.get_time(m), merged.get_end(m))
+    for size in range(1, merged.get_end(merged.count - 1) + 3):
         assert in_turn.find_end(size) == merged.find_end(size)
     for t in (*range(52), 2**63, 2**70):
         assert in_turn.find_time(t) == merged.find_time(t)
     first = data.draw(st.integers(0, merged.count - 1))
     last = data.draw(st.integers(first + 1, merged.count))
     for stream in range(len(sizes)):
-        rows, offsets = in_turn.rows_of(stream, first, last)
-        expected, at = merged.rows_of(stream, first, last)
+        rows, offsets = in_turn.find_rows(stream, first, last)
+        expected, at = merged.find_rows(stream, first, last)
         assert offsets.tolist() == at.tolist()
         assert len(offsets) == 0 or rows == expected

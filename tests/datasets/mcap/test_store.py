@@ -236,7 +236,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
 def test_a_device_or_a_folder_is_never_replaced(tmp_path):
     (tmp_path / "folder.mcap").mkdir()
     for path in ("/dev/null", tmp_path / "folder.mcap"):
-        with pytest.raises(BadFile, match="no ordinary file"):
+        with pytest.raises(BadFile, match="not an ordinary file"):
             write(path, reference_of())
     (tmp_path / "link.mcap").symlink_to(tmp_path / "real.mcap")
     write(tmp_path / "link.mcap", reference_of())

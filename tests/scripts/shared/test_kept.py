@@ -137,7 +137,7 @@ def write_estimate(task, log):
     task.hash_input(task.item)
     row = {"samples": 2, "sd": float("nan")}
     made = Estimate(np.array([0, 1]), "cf", q_nb=np.tile([1.0, 0, 0, 0], (2, 1)))
-    write(target_of(task.item), made, origin=task.origin_with(row))
+    write(target_of(task.item), made, origin=task.make_origin(row))
     return row
 
 

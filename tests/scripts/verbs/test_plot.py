@@ -82,7 +82,7 @@ def test_every_table_of_a_leaderboard_is_drawn_or_the_one_that_is_asked_for(call
         ([".", "--kind", "ranking", "-o", "x.pdf", "--table", "9"], "--table 9: there is no such table; there are 1 ("),
         ([".", "--kind", "map", "-o", "x.pdf", "--table", "1"], "--table 1: chooses a ranking"),
         (["run.mcap", "--kind", "errors", "-o", "x.jpg"], "-o x.jpg: ends in none of .pdf, .svg, .png"),
-        (["run.mcap", "--kind", "ranking", "-o", "x.pdf"], "run.mcap: is no result of stillpoint leaderboard"),
+        (["run.mcap", "--kind", "ranking", "-o", "x.pdf"], "run.mcap: is not a result of stillpoint leaderboard"),
         (["missing.mcap", "--kind", "angles", "-o", "x.pdf"], "missing.mcap: there is no such file"),
         (["run.mcap", "leaderboard.json", "--kind", "map", "-o", "x.pdf"], "--kind ranking and map take one"),
     ],
