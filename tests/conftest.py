@@ -27,6 +27,16 @@ def _own_results(_results: Path, request: pytest.FixtureRequest, monkeypatch: py
     monkeypatch.setenv("STILLPOINT_RESULTS", str(_results / str(abs(hash(request.node.nodeid)))))
 
 
+@pytest.fixture(autouse=True)
+def _little_ink(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the pictures of a page but do not write them as SVG, which takes half of the time of a page.
+
+    Tests that look at the pictures carry the marker ``ink``.
+    """
+    if request.node.get_closest_marker("ink") is None:
+        monkeypatch.setattr("stillpoint.scoring.report.pictures._render_svg", lambda figure, title, name: "<svg></svg>")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _small_batches_here() -> None:
     """Let a batch that is not told how many processes to take work in this one.

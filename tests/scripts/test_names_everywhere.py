@@ -142,6 +142,7 @@ def test_printed_figures_hold_the_name(board, tmp_path, ending):
 
 
 @pytest.mark.slow
+@pytest.mark.ink
 def test_pictures_of_pages_hold_the_name_as_text(board):
     picture = make_picture(NAME, "", 1, 100, lambda axes: draw_ranking(axes[0], board.tables[0]), time_axis=False)
     assert r"$\frac{$ \x1b[31m &lt;b&gt;" in picture.wide

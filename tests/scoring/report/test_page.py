@@ -17,6 +17,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.scoring.report.figures import break_line, draw_angles, draw_errors, draw_scores, make_view, thin_line
 from stillpoint.scoring.report.page import Material, judge, make_report_html
 
+pytestmark = pytest.mark.ink
 BIASES = ("bias_x", "bias_y", "bias_z")
 
 

@@ -42,7 +42,9 @@ def test_an_unknown_experiment_is_answered_with_those_there_are(call, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "online"), [("spin-constant", False), ("spin-variable", True)])
+@pytest.mark.parametrize(
+    ("name", "online"), [pytest.param("spin-constant", False, marks=pytest.mark.ink), ("spin-variable", True)]
+)
 def test_a_page_has_the_figures_of_the_paper_and_ours(name, online, call, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     flags = ["--online"] if online else []

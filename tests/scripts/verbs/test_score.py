@@ -160,6 +160,7 @@ def test_graph_is_nearer_to_the_truth_than_what_it_is_compared_with(call, made, 
 
 
 @pytest.mark.slow
+@pytest.mark.ink
 def test_report_writes_a_page_per_recording(call, made, tmp_path, capsys):
     assert call("report", made, "-o", tmp_path / "pages") == 0
     page = tmp_path / "pages" / f"{NAME}.report.html"

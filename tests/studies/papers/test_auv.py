@@ -119,7 +119,6 @@ def test_online_differs_by_single_precision_only(calm):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("without_ink")
 def test_missions_online_are_others_than_those_offline(call, tmp_path):
     words = ("experiment", "auv-dolphin", "--online", "--sea", "calm", "--trials", "1")
     assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0
@@ -131,6 +130,7 @@ def test_missions_online_are_others_than_those_offline(call, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.ink
 def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys, calm):
     words = ("experiment", "auv-dolphin", "--sea", "calm", "--trials", "1")
     assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0

@@ -128,6 +128,7 @@ def test_a_kalman_filter_beats_the_complementary_one_in_the_hand():
 
 
 @pytest.mark.slow
+@pytest.mark.ink
 def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
     words = ("experiment", "phone-3", "--hand", "shaken", "--trials", "1", "--minutes", "1.5")
     assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0

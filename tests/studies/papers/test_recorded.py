@@ -14,7 +14,7 @@ from stillpoint.studies.papers.auv import study as auv
 from stillpoint.studies.papers.servo import study as servo
 from stillpoint.studies.papers.spin.recorded import identify_noise
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_ink")]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

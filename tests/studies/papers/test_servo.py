@@ -44,6 +44,7 @@ def test_an_integral_that_begins_at_a_time_has_the_true_angle_there(one: Trial) 
 
 
 @pytest.mark.slow
+@pytest.mark.ink
 def test_the_page_has_the_papers_number_beside_ours(call: Callable[..., int], tmp_path: Path) -> None:
     words = ("experiment", "servo-bench", "--minutes", 3.5, "--trials", 2)
     assert call(*words, "-o", tmp_path / "a", "--json", tmp_path / "a.json") == 0
