@@ -10,7 +10,13 @@ from typing import Any, Literal, NamedTuple, TypeVar, cast, get_args, get_origin
 from stillpoint.datasets.errors import BadParameter, nearest
 
 _TRUTH_VALUES = {"true": True, "false": False}
-_UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s", "_radps_rts": "deg/s/√s"}
+_UNITS_IN_DEGREES = {
+    "_rad": "deg",
+    "_radps": "deg/s",
+    "_rad_rts": "deg/√s",
+    "_radps_rts": "deg/s/√s",
+    "_rad_per_mps2": "deg per m/s^2",
+}
 
 
 def number(default: float, low: float, high: float, meaning: str) -> Any:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.trajectory import Reference
+from stillpoint.smoother.attitude.params import make_matrix_covariance
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARTS = tuple(f"{sensor}_{'xyz'[i]}{'xyz'[j]}" for sensor in ("gyro", "accel") for i, j in PAIRS)
@@ -96,7 +97,7 @@ class _Parts:
 
     mean: Floats  # (12,)
     covariance: Floats  # (12, 12)
-    prior_var: Floats  # (12,)
+    prior: Floats  # (12, 12)
 
 
 def _read_parts(made: Reference) -> _Parts:
@@ -113,21 +114,24 @@ def _read_parts(made: Reference) -> _Parts:
             to_parts[row, offset + 3 * i + j] += 0.5
             to_parts[row, offset + 3 * j + i] += 0.5
     errors = np.concatenate([(found.accel_matrix - np.eye(3)).ravel(), (found.gyro_matrix - np.eye(3)).ravel()])
-    prior_sd = np.repeat([made.diagnostics["accel_matrix_prior_sd"], made.diagnostics["gyro_matrix_prior_sd"]], 9)
+    prior = np.zeros((18, 18))
+    prior[:9, :9] = make_matrix_covariance(made.diagnostics["accel_matrix_prior_sd"], 0.0)
+    scale_sd = made.diagnostics.get("gyro_scale_prior_sd", 0.0)  # references of earlier versions do not say
+    prior[9:, 9:] = make_matrix_covariance(made.diagnostics["gyro_matrix_prior_sd"], scale_sd)
     return _Parts(
         mean=to_parts @ errors,
         covariance=to_parts @ found.matrix_covariance @ to_parts.T,
-        prior_var=np.diagonal(to_parts @ np.diag(prior_sd.astype(np.float64) ** 2) @ to_parts.T),
+        prior=to_parts @ prior @ to_parts.T,
     )
 
 
 def _pool(found: Sequence[_Parts]) -> _Parts:
     """Return the mean of one device: the information of the data of all, and once the widest prior."""
-    prior = np.max([each.prior_var for each in found], axis=0)
-    information, vector = np.diag(1 / prior), np.zeros(12)
+    prior = max((each.prior for each in found), key=lambda one: float(np.trace(one)))
+    information, vector = np.linalg.inv(prior), np.zeros(12)
     for each in found:
         own = np.linalg.inv(each.covariance)
-        information = information + own - np.diag(1 / each.prior_var)
+        information = information + own - np.linalg.inv(each.prior)
         vector = vector + own @ each.mean
     covariance = np.linalg.inv(information)
     return _Parts(covariance @ vector, covariance, prior)
@@ -150,7 +154,7 @@ def _find_split(found: Sequence[_Parts], biases: Floats) -> _Split:
     where s = 1 - P / P0 is the share of the prior's variance that the data removed.
     """
     own = np.array([np.diagonal(each.covariance) for each in found])
-    prior = np.array([each.prior_var for each in found])
+    prior = np.array([np.diagonal(each.prior) for each in found])
     learnt = np.maximum(1 - own / prior, _LEAST_LEARNT)
     values = np.hstack([np.array([each.mean for each in found]) / learnt, biases])
     variances = np.hstack([own / learnt + _DEVICE_SD**2, np.full_like(biases, BIAS_SD_MPS2**2)])

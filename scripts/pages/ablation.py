@@ -42,7 +42,7 @@ class Variant:
 _NO_CALIBRATION = {
     "inertial.gyro_matrix_sd": 1e-5,
     "inertial.accel_matrix_sd": 1e-5,
-    "inertial.free_matrix_sd": 1e-5,
+    "inertial.free_scale_sd": 0.0,
     "inertial.raw_matrix_sd": 1e-5,
     "inertial.rawest_matrix_sd": 1e-5,
 }

@@ -131,14 +131,19 @@ def build_chain(
 def _noise(keys: Keys, intervals: Indices, params: GraphParams) -> tuple[Floats, Floats]:
     """Return the variances (m, 3) of accelerometer and gyro for a second of white noise.
 
-    Readings that are replaced, wrong by a share of their excess, or slow add to them.
+    Readings that are replaced, wrong by a share of their excess, or slow add to them. Where a rest has shown how quiet
+    the gyro is, its noise grows from there with the rate.
     """
     p, seconds = params.inertial, keys.span_s[intervals][:, None]
     rest = keys.at_rest[intervals][:, None]
     extra_rad2 = (p.gyro_beyond * keys.gyro_clipped_rad[intervals]) ** 2 + keys.gyro_sampling_rad[intervals] ** 2
     extra_mps2 = (p.accel_beyond * keys.accel_clipped_mps[intervals]) ** 2
     own = (keys.clipped[intervals] | (keys.gyro_sampling_rad[intervals] > 0).any(axis=1))[:, None]
-    gyro = np.where(rest & ~own, p.gyro_rest_radps_rthz, p.gyro_radps_rthz) ** 2 + extra_rad2 / seconds
+    moving = np.full(len(intervals), p.gyro_radps_rthz)
+    if keys.at_rest.any():
+        by_rate = p.gyro_per_rate_rthz * keys.rate_rms_radps[intervals]
+        moving = np.minimum(np.hypot(p.gyro_rest_radps_rthz, by_rate), p.gyro_radps_rthz)
+    gyro = np.where(rest & ~own, p.gyro_rest_radps_rthz, moving[:, None]) ** 2 + extra_rad2 / seconds
     accel = np.where(rest & ~own, p.accel_rest_mps2_rthz, p.accel_mps2_rthz) ** 2 + extra_mps2 / seconds
     return accel, gyro
 

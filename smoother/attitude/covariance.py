@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate, multiply_covariance
 from stillpoint.smoother.attitude.linear.inverse import compute_covariances
 from stillpoint.smoother.attitude.params import GraphParams
@@ -109,21 +110,18 @@ class Factors:
     mean_heading: float
 
 
-def choose_factors(closing_squares: Sequence[float], has_rest: bool, blind: bool, params: GraphParams) -> Factors:
+def choose_factors(closing_squares: Sequence[float], has_rest: bool, least: float, params: GraphParams) -> Factors:
     """Return the factors on the covariances: calibrated ones, that of the heading updated by the closing squares.
 
     With returns, the expectation of a closing square is the factor of the heading. The calibrated factor counts as
     ``prior_returns`` of them, and any number of returns as MOST_RETURNS at most: an error that is the same each time
-    does not show. Without returns the errors of the field decide, which need no factor. The factors were calibrated on
-    recordings that miss nothing: of a ``blind`` one, with a gap or with samples dropped from a slow log, they are at
-    least 1.
+    does not show. Without returns the errors of the field decide, which need no factor. No factor is below ``least``.
     """
     heading, count = params.variance_factor, min(len(closing_squares), _MOST_RETURNS)
     if count:
         trusted = params.prior_returns * params.heading_variance_factor
         heading = (trusted + count * float(np.mean(closing_squares))) / (params.prior_returns + count)
     tilt = params.rest_variance_factor if has_rest else params.variance_factor
-    least = 1.0 if blind else 0.0
     return Factors(max(tilt, least), max(heading, least), max(params.variance_factor, least))
 
 
@@ -131,6 +129,24 @@ def scale_covariances(cov_b_rad2: Floats, q_nb: Floats, factors: Factors) -> Flo
     """Return covariances (N, 3, 3) in body axes at attitudes (N, 4), with tilt and heading scaled by their factors."""
     up_b = rotation(q_nb).as_matrix()[:, 2]
     return _scale_along(cov_b_rad2, up_b, np.sqrt(factors.tilt), np.sqrt(factors.heading) - np.sqrt(factors.tilt))
+
+
+def compute_bending(keys: Keys, params: GraphParams) -> tuple[Floats, Floats]:
+    """Return how far a body may bend against its sensor: covariances (n - 1, 3, 3) of each interval and (3, 3) of all.
+
+    In body axes: what differs from the mean over the motion, and that mean, which is a part of the mounting. The
+    specific force f turns the body by r x f, where nothing is known of the direction of r.
+    """
+    counted = ~keys.at_rest if not keys.at_rest.all() else np.ones(len(keys.at_rest), dtype=np.bool_)
+    mean = np.average(keys.accel_b_mps2[counted], axis=0, weights=keys.span_s[counted])
+    return _bend(keys.accel_b_mps2 - mean, params), _bend(mean[None], params)[0]
+
+
+def _bend(force_b_mps2: Floats, params: GraphParams) -> Floats:
+    """Return the covariances (n, 3, 3) of r x f for forces (n, 3) and r with an sd of ``bending_rad_per_mps2``."""
+    along = force_b_mps2[:, :, None] * force_b_mps2[:, None, :]
+    square = np.trace(along, axis1=1, axis2=2)
+    return np.asarray(params.bending_rad_per_mps2**2 * (square[:, None, None] * np.eye(3) - along))
 
 
 @compiled

@@ -104,7 +104,7 @@ class Evidence:
 
 
 def with_free_priors(params: GraphParams, evidence: Evidence) -> GraphParams:
-    """Return the settings with wider priors of the gyro's bias and matrix if there is no rest.
+    """Return the settings with wider priors of the gyro's bias and scale if there is no rest.
 
     Without a rest nothing supports the start value of the bias. Recordings without any rest are of phones and the like,
     whose gyro scales scatter more than those of instruments.
@@ -112,8 +112,12 @@ def with_free_priors(params: GraphParams, evidence: Evidence) -> GraphParams:
     if len(evidence.rests_ns):
         return params
     p = params.inertial
-    bias, matrix = max(p.gyro_bias_sd_radps, p.free_bias_sd_radps), max(p.gyro_matrix_sd, p.free_matrix_sd)
-    return replace(params, inertial=replace(p, gyro_bias_sd_radps=bias, gyro_matrix_sd=matrix))
+    wider = replace(
+        p,
+        gyro_bias_sd_radps=max(p.gyro_bias_sd_radps, p.free_bias_sd_radps),
+        gyro_scale_sd=max(p.gyro_scale_sd, p.free_scale_sd),
+    )
+    return replace(params, inertial=wider)
 
 
 def turn_start_round(evidence: Evidence) -> Evidence:

@@ -76,8 +76,9 @@ def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Itera
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     spread = np.concatenate([np.full(3, p.accel_bias_sd_mps2), np.full(3, p.gyro_bias_sd_radps)])
     yield gtsam.PriorFactorConstantBias(B(0), start, _diagonal(spread))
-    sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), np.full(1, p.accel_late_sd_s)]
-    yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), _diagonal(np.concatenate(sizes)))
+    known = np.diag(np.concatenate([np.full(18, p.accel_matrix_sd), [p.accel_late_sd_s]]) ** 2)
+    known[9:18, 9:18] = p.gyro_matrix_covariance
+    yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), gtsam.noiseModel.Gaussian.Covariance(known))
 
 
 def rest_factors(keys: Keys, params: GraphParams) -> Iterator:

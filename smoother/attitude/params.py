@@ -3,6 +3,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
+from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.smoother.base_pose import ReturnParams
 from stillpoint.smoother.rest import RestParams
@@ -23,12 +26,14 @@ class InertialNoise(Settings):
     """Noise and priors of gyro and accelerometer.
 
     The densities in motion are larger than a sensor's white noise on purpose: they include what a constant calibration
-    does not explain (vibration, clipping, non-linearity, clock jitter).
+    does not explain (vibration, clipping, non-linearity, clock jitter). That of the gyro grows with the rate where a
+    rest shows that the gyro is quiet; without a rest it is the largest one.
     """
 
-    gyro_radps_rthz: float = number(0.003, 1e-6, 1.0, "gyro in motion, white")
+    gyro_radps_rthz: float = number(0.003, 1e-6, 1.0, "gyro in motion, white, at the most")
     accel_mps2_rthz: float = number(0.1, 1e-4, 10.0, "accelerometer in motion, white")
     gyro_rest_radps_rthz: float = number(0.001, 1e-6, 1.0, "gyro at rest")
+    gyro_per_rate_rthz: float = number(1e-3, 0.0, 10.0, "by which that grows per rad/s, where there is a rest")
     accel_rest_mps2_rthz: float = number(0.02, 1e-4, 10.0, "accelerometer at rest")
     gyro_beyond: float = number(1.0, 0.01, 10.0, "a clipped rate is extended: wrong by this share of it")
     accel_beyond: float = number(2.0, 0.01, 10.0, "and so is a clipped specific force")
@@ -39,13 +44,28 @@ class InertialNoise(Settings):
     accel_bias_sd_mps2: float = number(0.1, 1e-4, 5.0, "the accelerometer's bias")
     accel_bias_walk: float = number(1e-3, 1e-7, 1.0, "m/s^2 per sqrt(s): its random walk")
     bias_step_s: float = number(10.0, 1.0, 600.0, "the bias is constant for so long at the most")
-    gyro_matrix_sd: float = number(0.005, 1e-5, 0.2, "scale and misalignment of the gyro, relative")
-    free_matrix_sd: float = number(0.01, 1e-5, 0.2, "the same where there is no rest")
+    gyro_matrix_sd: float = number(0.005, 1e-5, 0.2, "each scale and misalignment of the gyro by itself, relative")
+    gyro_scale_sd: float = number(0.0, 0.0, 0.2, "beside that, a scale that its axes have in common")
+    free_scale_sd: float = number(0.01, 0.0, 0.2, "the same where there is no rest")
     accel_matrix_sd: float = number(0.005, 1e-5, 0.2, "the same of the accelerometer")
-    raw_matrix_sd: float = number(0.03, 1e-5, 0.2, "of both sensors, tried when the data contradict those")
+    raw_matrix_sd: float = number(0.03, 1e-5, 0.2, "of both matrices, tried when the data contradict those")
     rawest_matrix_sd: float = number(0.1, 1e-5, 0.2, "of both, tried when the data contradict that, too")
     accel_late_sd_s: float = number(0.02, 1e-5, 0.2, "by which the accelerometer may be late against the gyro")
     gap_rate_sd_radps: float = degrees(60.0, 0.1, 3000.0, "rate that a gap in the stamps may hide")
+
+    @property
+    def gyro_matrix_covariance(self) -> Floats:
+        """Return the prior covariance (9, 9) of the elements of the gyro's matrix, row by row."""
+        return make_matrix_covariance(self.gyro_matrix_sd, self.gyro_scale_sd)
+
+
+def make_matrix_covariance(element_sd: float, scale_sd: float) -> Floats:
+    """Return the covariance (9, 9) of a matrix, row by row: of each element by itself, and of a scale of all axes.
+
+    One clock and one reference voltage serve all axes of a gyro, so that their scales have a part in common.
+    """
+    diagonal = np.eye(3).ravel()
+    return element_sd**2 * np.eye(9) + scale_sd**2 * np.outer(diagonal, diagonal)
 
 
 @dataclass(frozen=True)
@@ -105,11 +125,12 @@ class GraphParams(Settings):
     returns: ReturnParams = field(default_factory=ReturnParams)
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
     variance_factor: float = number(1.0, 0.01, 100.0, "on all variances but the two below")
-    rest_variance_factor: float = number(0.4, 0.01, 100.0, "on that of the tilt where there is a rest")
+    rest_variance_factor: float = number(0.2, 0.01, 100.0, "on that of the tilt where there is a rest")
     heading_variance_factor: float = number(
-        0.45, 0.01, 100.0, "on that of the heading around its mean where there are returns"
+        0.6, 0.01, 100.0, "on that of the heading around its mean where there are returns"
     )
     prior_returns: float = number(12.0, 0.01, 100.0, "how many returns' worth of trust that factor deserves")
+    bending_rad_per_mps2: float = degrees(0.02, 0.0, 10.0, "by which the body bends against its sensor")
     iterations: float = number(40.0, 1.0, 200.0, "that the solution may take")
 
 
@@ -118,7 +139,9 @@ PRESETS: dict[str, GraphParams] = {
     "handheld": HANDHELD,
     "phone": HANDHELD,
     "vehicle": replace(
-        HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=1000.0, velocity_sd_mps=30.0, integration_sd_m_rts=0.1)
+        HANDHELD,
+        inertial=replace(HANDHELD.inertial, gyro_per_rate_rthz=10.0),  # an engine shakes the gyro at any rate
+        motion=replace(HANDHELD.motion, position_sd_m=1000.0, velocity_sd_mps=30.0, integration_sd_m_rts=0.1),
     ),
     "bench": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=0.3, velocity_sd_mps=0.5)),
 }

@@ -100,7 +100,8 @@ def priors_to_try(params: GraphParams, evidence: Evidence) -> list[SensorPriors]
     sizes = [sd for sd in (p.raw_matrix_sd, p.rawest_matrix_sd) if sd > max(p.gyro_matrix_sd, p.accel_matrix_sd)]
     if not sizes:
         return [SensorPriors(params, None)]
-    wider = [replace(params, inertial=replace(p, gyro_matrix_sd=sd, accel_matrix_sd=sd)) for sd in sizes]
+    raw = replace(p, gyro_scale_sd=0.0)
+    wider = [replace(params, inertial=replace(raw, gyro_matrix_sd=sd, accel_matrix_sd=sd)) for sd in sizes]
     return [SensorPriors(each, _SURPRISE_LIMIT_SD) for each in (params, *wider)]
 
 
@@ -226,16 +227,24 @@ def refuse_fixes(believed: NDArray[np.bool_], name: str) -> None:
 def measure_surprise(calibration: Calibration, params: GraphParams) -> float:
     """Return the largest deviation of the gyro's matrix from its prior, in units of its expected deviation.
 
-    The expected variance of an element's deviation is its prior variance less its posterior variance: an element that
-    the data hardly show must hardly move. Example: a gyro that turns about one axis only and reads a fifth too much.
-    Only the magnetometer sees it, and its scale moves by less than the prior's sd; this measure still finds it.
+    Deviations of the nine elements count, and those of each scale from the mean of the three, which a common scale
+    keeps closer together. The expected variance of a deviation is its prior variance less its posterior variance: an
+    element that the data hardly show must hardly move. Example: a gyro that turns about one axis only and reads a fifth
+    too much. Only the magnetometer sees it, and its scale moves by less than the prior's sd; this measure finds it.
     """
     assert calibration.gyro_matrix is not None
-    assert calibration.gyro_matrix_sd is not None
-    prior = params.inertial.gyro_matrix_sd
-    moved = (calibration.gyro_matrix - np.eye(3)) / prior
-    learnt = np.maximum(1 - (calibration.gyro_matrix_sd / prior) ** 2, _LEAST_LEARNT)
+    assert calibration.matrix_covariance is not None
+    scales = np.eye(9)[::4]
+    parts = np.concatenate([np.eye(9), scales - scales.mean(axis=0)])
+    prior = _square_along(parts, params.inertial.gyro_matrix_covariance)
+    learnt = np.maximum(prior - _square_along(parts, calibration.matrix_covariance[9:, 9:]), _LEAST_LEARNT * prior)
+    moved = parts @ (calibration.gyro_matrix - np.eye(3)).ravel()
     return float(np.max(np.abs(moved) / np.sqrt(learnt)))
+
+
+def _square_along(directions: Floats, covariance: Floats) -> Floats:
+    """Return the variances (n,) along directions (n, k)."""
+    return np.einsum("ni,ij,nj->n", directions, covariance, directions)
 
 
 def refuse_surprise(calibration: Calibration, limit_sd: float, name: str, params: GraphParams) -> None:
@@ -287,9 +296,10 @@ def _find_inertial_contradiction(fit: Fit, solution: Solution, bias_b_radps: Flo
         times = np.sqrt(fit.squares["imu"] / _IMU_LIMIT)
         return f"gyro and accelerometer contradict each other ({times:.1f} times the residuals that a sensor may have)"
     vector = solution.values.atVector(M(0))
-    sizes = {
+    gyro_sd = np.sqrt(np.diagonal(p.gyro_matrix_covariance))
+    sizes: dict[str, tuple[Floats, float | Floats, float, str]] = {
         "accelerometer's scale and axes": (vector[:9], p.accel_matrix_sd, 100.0, "%"),
-        "gyro's scale and axes": (vector[9:18], p.gyro_matrix_sd, 100.0, "%"),
+        "gyro's scale and axes": (vector[9:18], gyro_sd, 100.0, "%"),
         "accelerometer's clock": (vector[18:19], p.accel_late_sd_s, 1e3, "ms"),
     }
     biases = [key for key in solution.values.keys() if gtsam.Symbol(key).chr() == ord("b")]  # noqa: SIM118 - not a dict
@@ -299,8 +309,8 @@ def _find_inertial_contradiction(fit: Fit, solution: Solution, bias_b_radps: Flo
         moved = bias[:, 3:] - bias_b_radps
         sizes["gyro's bias"] = (moved, p.gyro_bias_sd_radps, float(np.rad2deg(1.0)), "deg/s")
     for what, (values, sd, factor, unit) in sizes.items():
-        largest = float(np.abs(values).max())
-        if largest > _PRIOR_LIMIT_SD * sd:
+        if (np.abs(values) > _PRIOR_LIMIT_SD * sd).any():
+            largest = float(np.abs(values).max())
             return f"to fit the data the {what} would have to be off by {largest * factor:.2g} {unit}"
     return ""
 

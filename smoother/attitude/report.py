@@ -9,7 +9,7 @@ import numpy as np
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn
-from stillpoint.smoother.attitude.covariance import choose_factors, scale_covariances
+from stillpoint.smoother.attitude.covariance import choose_factors, compute_bending, scale_covariances
 from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
 from stillpoint.smoother.attitude.outside.satellite import VERTICAL, estimate_delay, outages
 from stillpoint.smoother.attitude.plausibility import (
@@ -22,6 +22,9 @@ from stillpoint.smoother.attitude.samples.every_sample import Piece, Track
 from stillpoint.smoother.attitude.samples.joined import join_attitudes, sample_pieces
 from stillpoint.smoother.attitude.windows import Solved
 from stillpoint.smoother.long_reference import Columns, LongReference
+
+_LEAST_FACTOR_OF_GAPS, _LEAST_FACTOR_OF_RESTORED = 1.0, 0.4  # on the variances
+_SLOW_S = 0.02  # between readings; with shorter steps, splines add next to nothing
 
 
 def report_reference(
@@ -38,7 +41,9 @@ def report_reference(
     if evidence.base is not None and evidence.returns is not None:
         verdicts = judge_returns_again(evidence.base, evidence.returns, q_nb, last.common_q_nb, solved.params)
     closing = _select_closing_squares(evidence, verdicts, pieces)
-    factors = choose_factors(closing, len(evidence.rests_ns) > 0, _misses_motion(recording, evidence), solved.params)
+    factors = choose_factors(
+        closing, len(evidence.rests_ns) > 0, _find_least_factor(recording, evidence), solved.params
+    )
     diagnostics = _list_diagnostics(recording, evidence, solved, q_nb) | {
         "closing_squares": closing,
         "variance_factors": asdict(factors),
@@ -52,9 +57,10 @@ def report_reference(
         diagnostics["field_disturbed"] = f"{disturbed}; only the readings that fit are used"
     elif lasting and not held:
         diagnostics["field_disturbed"] = f"{lasting}, and nothing else holds the heading"
+    bent, of_mean = compute_bending(evidence.keys, solved.params)
     facts: dict[str, Any] = {
         "heading_sd_rad": float(np.sqrt(factors.mean_heading * min(piece.heading_rad2 for piece in pieces))),
-        "mounting_cov_b_rad2": factors.tilt * last.mounting_b_rad2,
+        "mounting_cov_b_rad2": factors.tilt * last.mounting_b_rad2 + of_mean,
         "method": "graph",
         "name": recording.name,
         "calibration": last.calibration,  # its sd is mostly that of the prior, to which no factor applies
@@ -62,6 +68,7 @@ def report_reference(
         "returns": verdicts,
         "diagnostics": diagnostics,
     }
+    rows = evidence.keys.row
     fix_m2 = None
     if evidence.fixes is not None:
         fix_m2 = float(np.median(evidence.fixes.sd_m)) ** 2
@@ -69,10 +76,11 @@ def report_reference(
 
     def make_columns() -> Iterator[Columns]:
         for part in sample_pieces(pieces, motion):
+            interval = np.searchsorted(rows[1:-1], np.arange(part.rows.start, part.rows.stop))
             yield {
                 "t_ns": t_ns[part.rows],
                 "q_nb": part.q_nb,
-                "cov_b_rad2": scale_covariances(part.cov_b_rad2, part.q_nb, factors),
+                "cov_b_rad2": scale_covariances(part.cov_b_rad2, part.q_nb, factors) + bent[interval],
                 "gyro_bias_b_radps": part.gyro_bias_b_radps,
                 **_state_track(part.track, fix_m2),
             }
@@ -149,6 +157,7 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "field_widening": last.field_widening,
         "gyro_bias_prior_sd_radps": inertial.gyro_bias_sd_radps,
         "gyro_matrix_prior_sd": inertial.gyro_matrix_sd,
+        "gyro_scale_prior_sd": inertial.gyro_scale_sd,
         "accel_matrix_prior_sd": inertial.accel_matrix_sd,
         "accel_late_sd_s": last.late_sd_s,
         "calibration_surprise_sd": measure_surprise(last.calibration, solved.params),
@@ -160,12 +169,18 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
     }
 
 
-def _misses_motion(recording: Recording, evidence: Evidence) -> bool:
-    """Return whether a gap, also a short one that is bridged, or dropped samples hide some of the motion."""
+def _find_least_factor(recording: Recording, evidence: Evidence) -> float:
+    """Return the least factor on the variances, which were calibrated on recordings that miss nothing.
+
+    Gaps, also short ones that are bridged, and dropped samples hide some of the motion. The splines between the
+    readings of a slow log restore nearly all of it.
+    """
     motion = evidence.motion
     in_gap = find_gaps(recording.require_imu().t_ns) & ~motion.at_rest[1:]
-    dropped = motion.gyro_sampling_radps.any() and not evidence.restored
-    return bool(evidence.keys.gap.any() or in_gap.any() or dropped)
+    slow = motion.gyro_sampling_radps.any()
+    if evidence.keys.gap.any() or in_gap.any() or (slow and not evidence.restored):
+        return _LEAST_FACTOR_OF_GAPS
+    return _LEAST_FACTOR_OF_RESTORED if slow and float(np.median(motion.dt_s)) >= _SLOW_S else 0.0
 
 
 def _describe_slow_log(evidence: Evidence) -> str | None:

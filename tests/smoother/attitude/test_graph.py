@@ -15,7 +15,8 @@ from stillpoint.datasets.simulate import PERFECT, PHONE, simulate
 from stillpoint.datasets.trajectory import CONVENTION
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
-from stillpoint.smoother.attitude.covariance import Factors, choose_factors, scale_covariances
+from stillpoint.smoother.attitude.covariance import Factors, choose_factors, compute_bending, scale_covariances
+from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.params import HANDHELD
 
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
@@ -138,19 +139,19 @@ def test_the_covariance_is_neither_boast_nor_excuse(kind):
 
 def test_many_returns_count_as_six() -> None:
     """Over hours the returns would scale the heading's variance to nothing, while repeated errors stay."""
-    many, six = choose_factors([0.06] * 900, True, False, HANDHELD), choose_factors([0.06] * 6, True, False, HANDHELD)
+    many, six = choose_factors([0.06] * 900, True, 0.0, HANDHELD), choose_factors([0.06] * 6, True, 0.0, HANDHELD)
     assert many.heading == pytest.approx(six.heading)
     usual = HANDHELD.heading_variance_factor
-    assert choose_factors([], True, False, HANDHELD).heading == HANDHELD.variance_factor  # the field needs no factor
+    assert choose_factors([], True, 0.0, HANDHELD).heading == HANDHELD.variance_factor  # the field needs no factor
     assert (
-        choose_factors([4.0] * 3, True, False, HANDHELD).heading
+        choose_factors([4.0] * 3, True, 0.0, HANDHELD).heading
         > usual
-        > choose_factors([0.01] * 3, True, False, HANDHELD).heading
+        > choose_factors([0.01] * 3, True, 0.0, HANDHELD).heading
     )
     for count in (1, 3, 50):  # returns that close as usual confirm the usual factor
-        assert choose_factors([usual] * count, True, False, HANDHELD).heading == pytest.approx(usual)
-    assert choose_factors([], False, False, HANDHELD).tilt == HANDHELD.variance_factor
-    assert min(astuple(choose_factors([0.01] * 3, True, True, HANDHELD))) == 1.0  # nothing was calibrated with gaps
+        assert choose_factors([usual] * count, True, 0.0, HANDHELD).heading == pytest.approx(usual)
+    assert choose_factors([], False, 0.0, HANDHELD).tilt == HANDHELD.variance_factor
+    assert min(astuple(choose_factors([0.01] * 3, True, 1.0, HANDHELD))) == 1.0  # as in recordings with gaps
 
 
 def test_scaled_covariances_scale_tilt_and_heading_by_themselves() -> None:
@@ -160,3 +161,29 @@ def test_scaled_covariances_scale_tilt_and_heading_by_themselves() -> None:
     scaled = scale_covariances(np.tile(np.eye(3), (3, 1, 1)), quaternion(attitudes), Factors(0.5, 0.2, 1.0))
     np.testing.assert_allclose(np.einsum("ni,nij,nj->n", up_b, scaled, up_b), 0.2, atol=1e-12)
     np.testing.assert_allclose(np.trace(scaled, axis1=1, axis2=2), 1.2, atol=1e-12)
+
+
+def test_a_body_that_turns_over_bends_and_one_that_stays_upright_does_not() -> None:
+    """Gravity on one side, then on the other: g times the setting about the axes across it, none about itself."""
+    g, rows = 9.81, np.arange(5)
+    still = Keys(
+        row=rows,
+        t_s=rows.astype(float),
+        at_rest=np.zeros(4, dtype=bool),
+        gap=np.zeros(4, dtype=bool),
+        gyro_clipped_rad=np.zeros((4, 3)),
+        accel_clipped_mps=np.zeros((4, 3)),
+        gyro_sampling_rad=np.zeros((4, 3)),
+        gyro_b_radps=np.zeros((4, 3)),
+        accel_b_mps2=np.tile([0.0, 0.0, g], (4, 1)),
+        jerk_b_mps3=np.zeros((4, 3)),
+        rate_rms_radps=np.zeros(4),
+    )
+    expected = (HANDHELD.bending_rad_per_mps2 * g) ** 2 * np.diag([1.0, 1.0, 0.0])
+    each, mean = compute_bending(still, HANDHELD)
+    np.testing.assert_allclose(each, 0.0, atol=1e-20)
+    np.testing.assert_allclose(mean, expected, atol=1e-18)
+    turned = replace(still, accel_b_mps2=np.array([[0, 0, g], [0, 0, -g]] * 2))
+    each, mean = compute_bending(turned, HANDHELD)
+    np.testing.assert_allclose(each, np.tile(expected, (4, 1, 1)), atol=1e-18)
+    np.testing.assert_allclose(mean, 0.0, atol=1e-20)

@@ -82,3 +82,17 @@ def test_a_handful_of_samples_is_enough(count):
     keys = choose_keys(prepare_motion(imu, rests(imu)), PARAMS)
     assert len(keys.t_s) >= 2
     assert len(keys.at_rest) == len(keys.t_s) - 1
+
+
+def test_the_rate_around_an_interval_is_that_of_the_motion_beside_it() -> None:
+    """0.5 rad/s for 20 s, then 3 rad/s: each away from the change, the root of the mean square at it."""
+    t_s = np.arange(0, 40, 0.01)
+    gyro = np.zeros((len(t_s), 3))
+    gyro[:, 1] = np.where(t_s < 20, 0.5, 3.0)
+    imu = Imu(np.round(t_s * 1e9).astype(np.int64), gyro, np.tile([0.0, 0.0, 9.81], (len(t_s), 1)))
+    keys = choose_keys(prepare_motion(imu, rests(imu)), PARAMS)
+    middle_s = (keys.t_s[1:] + keys.t_s[:-1]) / 2
+    np.testing.assert_allclose(keys.rate_rms_radps[middle_s < 17], 0.5, rtol=1e-6)
+    np.testing.assert_allclose(keys.rate_rms_radps[middle_s > 23], 3.0, rtol=1e-6)
+    at_change = keys.rate_rms_radps[np.argmin(np.abs(middle_s - 20))]
+    assert at_change == pytest.approx(np.sqrt((0.5**2 + 3.0**2) / 2), abs=0.05)
