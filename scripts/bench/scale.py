@@ -165,10 +165,15 @@ def _start_cluster(count: int) -> Iterator[str]:
     """Start a scheduler and workers of one thread on this machine; yields the address."""
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
-    ) as cluster:
-        yield cluster.scheduler_address
+    before = set(os.environ)
+    try:
+        with LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
+        ) as cluster:
+            yield cluster.scheduler_address
+    finally:  # Dask sets variables for its workers, and leaves them to the processes of the next row
+        for name in os.environ.keys() - before:
+            del os.environ[name]
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from distributed import Client, Future, Worker, WorkerPlugin, as_completed, get_worker
@@ -34,6 +35,7 @@ from stillpoint.scripts.shared.output import print_line
 _CONNECT_S = 20.0
 _LEAST_AHEAD = 64  # inputs that the scheduler knows of at a time, so that ten million do not fill it
 _AHEAD_PER_THREAD = 4
+_TRIM, _TRIM_BY_DASK = "MALLOC_TRIM_THRESHOLD_", "65536"  # bytes of freed memory from which malloc gives it back
 
 
 class _Children(WorkerPlugin):
@@ -81,7 +83,8 @@ class _Children(WorkerPlugin):
                 if child.alive:
                     return child
                 self._all.discard(child)
-            child = start_child(self._function, self._surroundings)
+            with _keep_freed_memory():
+                child = start_child(self._function, self._surroundings)
             self._all.add(child)
             return child
 
@@ -90,6 +93,22 @@ class _Children(WorkerPlugin):
         with self._lock:
             ending, self._all, self._idle = self._all, set(), []
         await asyncio.to_thread(end_children, ending)
+
+
+@contextmanager
+def _keep_freed_memory() -> Iterator[None]:
+    """Start processes meanwhile without the setting of malloc that Dask gives its workers, unless a user chose another.
+
+    With it, an array that is freed goes back to the system, and the next one is made of new pages: 40 % more CPU.
+    """
+    before = os.environ.get(_TRIM)
+    if before == _TRIM_BY_DASK:
+        del os.environ[_TRIM]
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.environ[_TRIM] = before
 
 
 def run_on_cluster(

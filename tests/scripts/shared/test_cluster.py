@@ -57,6 +57,17 @@ def test_a_task_that_dies_of_a_signal_leaves_the_other_tasks_of_its_worker_alone
         assert [line.split()[0] for line in lines(tmp_path / str(k))] == ["begun", "done"]
 
 
+@pytest.mark.parametrize(("given", "seen"), [("65536", None), ("1000000", "1000000"), (None, None)])
+def test_what_dask_sets_for_malloc_does_not_reach_children(monkeypatch, given, seen):
+    """Arrays that are freed stay with the process. A setting of the user's does reach them."""
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    if given is not None:
+        monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", given)
+    with cluster_module._keep_freed_memory():
+        assert os.environ.get("MALLOC_TRIM_THRESHOLD_") == seen
+    assert os.environ.get("MALLOC_TRIM_THRESHOLD_") == given
+
+
 def _list_children(pid: int) -> list[psutil.Process]:
     """Return the processes that work for a worker; the one that Python keeps for its semaphores is none."""
     children = psutil.Process(pid).children(recursive=True)
