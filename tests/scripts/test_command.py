@@ -200,7 +200,7 @@ def test_interrupt_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [["info", "."], ["export", "."], ["--help"]])
+@pytest.mark.parametrize("words", [["export", "."], ["--help"]])
 def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path, words: list[str]) -> None:
     """The output is closed before the first line is written, as behind ``| head -0``."""
     for name in ("a", "b"):
