@@ -8,7 +8,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring import score
 
-SEEDS = range(3)
+SEEDS = range(6)  # with three, the bound on hand-translation was met by 0.5 % only
 
 
 def find_error_ratio(kind: str) -> float:
