@@ -91,7 +91,7 @@ def _make_rows(ours: list[str], seconds: dict[str, list[float]], n: int) -> list
 
 
 def _time_batch(recording: Recording, name: str, times: int) -> Callable[[], float]:
-    """Return a function that runs an estimator and gives the seconds of so many recordings."""
+    """Return a function that runs an estimator and returns the seconds for ``times`` recordings."""
     samples = len(recording.require_imu().t_ns) * times
     return lambda: estimate(recording, name).ns_per_sample * samples / 1e9
 

@@ -64,7 +64,7 @@ def bench_spin_filters(runs: int) -> list[Timing]:
 
 
 def _time_batch(recording: Recording, name: str, precision: Precision, n: int) -> Callable[[], float]:
-    """Return a function that runs an estimator and gives the seconds of its steps."""
+    """Return a function that runs an estimator and returns the seconds of its steps."""
     return lambda: estimate(recording, name, precision=precision).ns_per_sample * n / 1e9
 
 
