@@ -1,7 +1,7 @@
 """``python -m stillpoint.scripts.pages.planted FILES...``: print how references of changed copies are wrong.
 
 Each copy of a recording with truth has something planted in it: a turned return, magnets, noise, a slow rate, a raw
-gyro. docs/method.md holds the table. An answer must lie within its covariance, or be refused.
+gyro. docs/accuracy.md holds the table. An answer must lie within its covariance, or be refused.
 """
 
 from collections.abc import Callable, Sequence
