@@ -1,6 +1,7 @@
 """Fixtures of all tests, the choice of real data, and the order of files."""
 
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -81,6 +82,12 @@ def call() -> Callable[..., int]:
         return stopped.value.code
 
     return words_to_code
+
+
+def pytest_configure() -> None:
+    """Take Ctrl-C back: what a shell starts in the background ignores it, and so would all that tests start."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
