@@ -1,4 +1,4 @@
-"""What is compiled beforehand is compiled again only when its sources, numba or Python have changed."""
+"""Kernels are compiled again only when their sources, numba or Python have changed."""
 
 from collections.abc import Callable
 from concurrent.futures import Future

@@ -32,7 +32,7 @@ ROWS = st.lists(st.tuples(*[NUMBERS | st.sampled_from(ODD_CELLS)] * 3), min_size
 
 
 def read_cells(rows: list[tuple[str, ...]], delimiter: str) -> Table:
-    """The same table with cells that are split already."""
+    """Return rows as a table whose cells are split already."""
     lines = list(range(1, len(rows) + 1))
     return Table("f", ("a", "b", "c"), [[cell.strip() for cell in row] for row in rows], lines, False, 0, delimiter)
 

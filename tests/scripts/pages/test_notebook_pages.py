@@ -17,7 +17,7 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_the_cells_of_a_notebook_run_and_draw(path, monkeypatch):
-    """In this process, which has imported all, and on recordings of half the rate."""
+    """The cells run in this process, which has imported all, and on recordings of half the rate."""
     drawn = []
     monkeypatch.setattr(plt, "show", lambda: drawn.append(plt.gcf()))
     monkeypatch.setattr(simulate, "simulate", partial(simulate.simulate, rate_hz=50.0))
@@ -31,7 +31,7 @@ def test_the_cells_of_a_notebook_run_and_draw(path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_page_of_a_notebook_has_what_its_cells_show():
-    """In a process of its own, as the pages are made; the notebook with the least work stands for all."""
+    """The kernel is a process of its own, as for the pages; the notebook with the least work stands for all."""
     path = FOLDER / "reference-of-a-phone-log.ipynb"
     pages = pytest.importorskip("stillpoint.scripts.pages.notebook_pages", reason="nbclient is not installed")
     text, figures = pages.make_page(path)

@@ -155,7 +155,6 @@ def test_a_command_ends_without_a_word_while_it_compiles(number: signal.Signals,
         env=environment,
         capture_output=True,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background ignores it
     )
     errors = [line for line in result.stderr.splitlines() if "compiling" not in line]
     assert (result.returncode, errors) == (code, [])
@@ -167,14 +166,6 @@ def be_terminated_while_compiling(_: object) -> None:
     time.sleep(LONGEST_S)
 
 
-@pytest.mark.slow
-def test_a_child_ends_without_a_word_while_it_compiles(capfd: pytest.CaptureFixture[str]) -> None:
-    child = start_child(pickle.dumps(be_terminated_while_compiling), Surroundings())
-    child.send(())
-    assert "exit code 1" in str(child.receive().error)
-    assert capfd.readouterr().err == ""
-
-
 def be_terminated_during_an_import(_: object) -> None:
     try:
         signal.raise_signal(signal.SIGTERM)
@@ -183,8 +174,11 @@ def be_terminated_during_an_import(_: object) -> None:
 
 
 @pytest.mark.slow
-def test_a_child_ends_although_an_import_hid_the_signal(capfd: pytest.CaptureFixture[str]) -> None:
-    child = start_child(pickle.dumps(be_terminated_during_an_import), Surroundings())
+@pytest.mark.parametrize("function", [be_terminated_while_compiling, be_terminated_during_an_import])
+def test_a_child_ends_without_a_word_where_its_signal_is_hidden(
+    function: Callable[[object], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    child = start_child(pickle.dumps(function), Surroundings())
     child.send(())
     assert "exit code 1" in str(child.receive().error)
     assert capfd.readouterr().err == ""
