@@ -15,7 +15,7 @@ from pathlib import Path
 import numba
 
 from stillpoint.datasets.machine_code import KERNELS, TARGET, hash_sources
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _SOURCES = Path(__file__).parents[1]
 _REFERENCE = "reference"

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _ROOT = Path.cwd()  # make runs it in the checkout
 _OUT = _ROOT / "build" / "release"

@@ -21,9 +21,9 @@ import numpy as np
 from stillpoint.datasets.mcap.store import open_recording, write
 from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece, Truth
 from stillpoint.datasets.simulate import simulate
+from stillpoint.scripts.program import run_program
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.output import print_line
-from stillpoint.scripts.shared.program import run_program
 
 _START_NS = 1_700_000_000_000_000_000
 _PIECE_S = 600

@@ -16,10 +16,10 @@ from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, score
 from stillpoint.scoring.score import Score
+from stillpoint.scripts.program import run_program
 from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.inputs import find_recordings
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother.attitude.evidence import gather_evidence
 from stillpoint.smoother.attitude.graph import reference_from_evidence
 from stillpoint.smoother.attitude.params import HANDHELD

@@ -17,7 +17,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring import score
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _PAGE = Path("docs/estimator-accuracy.md")
 _BETWEEN_MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- end -->)", re.DOTALL)

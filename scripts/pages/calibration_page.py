@@ -14,7 +14,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters import ESTIMATORS
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.studies.leaderboard import Leaderboard
 from stillpoint.studies.leaderboard.board import Run
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE

@@ -10,9 +10,9 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
+from stillpoint.scripts.program import run_program
 from stillpoint.scripts.shared.flags import LOCAL, Whole
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import reference
 
 _MINUTES = {"phone-1": 2.0, "phone-2": 4.0, "phone-3": 4.0}

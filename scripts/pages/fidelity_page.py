@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _PAGE = Path("docs/leaderboard.md")
 _README = Path("README.md")

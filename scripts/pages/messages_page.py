@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _ROOT = Path(__file__).parents[2]
 _FOLDERS = ("datasets", "filters", "smoother", "scoring", "studies", "scripts")

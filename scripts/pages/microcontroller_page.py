@@ -16,7 +16,7 @@ from stillpoint.filters.spin import front as spin_front
 from stillpoint.filters.spin.noise import SpinParams, make_channels
 from stillpoint.filters.spin.sample import SpinLog
 from stillpoint.scripts.pages.cortex_m import FLAGS, OnTarget, run_on_cortex_m4
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 PAGE = Path(__file__).parents[2] / "docs" / "microcontroller.md"
 _SAMPLES = 1500

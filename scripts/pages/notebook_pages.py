@@ -9,7 +9,7 @@ from pathlib import Path
 import nbformat
 from nbclient import NotebookClient
 
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _FOLDER = Path("docs/notebooks")
 _FIGURES = Path("docs/figures/notebooks")

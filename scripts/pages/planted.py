@@ -20,9 +20,9 @@ from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Tr
 from stillpoint.datasets.simulate.scenes import let_field_wander
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
+from stillpoint.scripts.program import run_program
 from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import attitude_reference
 
 _RAMP_S = 2.0  # over which a return is turned before a rest, and turned back after it

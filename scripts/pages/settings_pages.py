@@ -13,7 +13,7 @@ from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.c.export import EXPORTED
 from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.table import Estimator, SpinEstimator, find_estimator
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.smoother import METHODS, SPIN_METHODS
 
 _PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders

@@ -15,7 +15,7 @@ from stillpoint.datasets.simulate.spin_sensor import make_white_noise
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.spin import score_roll
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.smoother import reference
 from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, make_settings
 

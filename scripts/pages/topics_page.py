@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME, TOPICS, Topic
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _TITLES = {
     "recording": "Recordings",

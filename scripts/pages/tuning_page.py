@@ -15,12 +15,12 @@ from typing import Any
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.filters import ESTIMATORS
+from stillpoint.scripts.program import run_program
 from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import Whole, Workers
 from stillpoint.scripts.shared.inputs import find_recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
-from stillpoint.scripts.shared.program import run_program
 from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, Summary, Table, leaderboard
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.sources import survey_sources

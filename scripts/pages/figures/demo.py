@@ -11,7 +11,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring.report.figures import draw_errors, draw_scores, make_view
 from stillpoint.scoring.report.page import Material, Verdict, judge
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.scripts.verbs.demo import KIND, SHOWN
 from stillpoint.smoother import attitude_reference
 

@@ -19,7 +19,7 @@ from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.scoring import AlignKind, compare
 from stillpoint.scoring.report.figures import COLOURS, draw_band, make_view
 from stillpoint.scripts.pages.figures.demo import STYLE
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 _ALIGN: AlignKind = "heading+mounting+time"

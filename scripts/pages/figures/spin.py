@@ -19,7 +19,7 @@ from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
 from stillpoint.scripts.pages.figures.demo import STYLE
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.smoother import reference
 
 _FOLDER = Path("docs/figures")

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from stillpoint.scripts.main import app
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 PAGE = Path(__file__).parents[3] / "docs" / "commands.md"
 _HEAD = """# Commands

@@ -11,7 +11,7 @@ from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters import ESTIMATORS
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 _PAGE = Path("docs/estimators.md")
 _BETWEEN_MARKS = re.compile(r"(<!-- cost -->\n).*?(<!-- end -->)", re.DOTALL)

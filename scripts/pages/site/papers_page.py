@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 from stillpoint.studies.papers.auv.page import INPUTS
 from stillpoint.studies.papers.auv.study import PRINTED_FIGURES, SEAS
 from stillpoint.studies.papers.phone.parameters import PRINTED, SLOWER, find_frequencies_below_mean

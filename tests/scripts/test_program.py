@@ -10,7 +10,7 @@ import pytest
 import stillpoint.scripts.bench
 import stillpoint.scripts.pages
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.shared.program import run_program
+from stillpoint.scripts.program import run_program
 
 PROGRAMS = [
     name
